@@ -408,7 +408,8 @@ fn name(key: &str, found: &str, known: &mut Vec<String>, faults: &mut Faults) {
 }
 
 fn range(key: &str, lower: f64, upper: f64, unit: &str, faults: &mut Faults) {
-    if !(lower < upper && lower.is_finite() && upper.is_finite()) {
+    // Its width counts, too.
+    if !(lower < upper && lower.is_finite() && upper.is_finite() && (upper - lower).is_finite()) {
         faults.push(key, format!("{lower} to {upper} {unit}"), "finite limits, the lower below the upper");
     }
 }

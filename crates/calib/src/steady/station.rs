@@ -150,6 +150,9 @@ const RESOLUTION: f64 = 2e-3;
 /// Error of a held demand above which it is missed, as a share of its range.
 const MISSED: f64 = 0.0125;
 
+/// Share of the ranges up to which nothing counts as moved.
+const STOOD: f64 = 0.02;
+
 /// A straight part of a way: where it ends, and where the inputs of the loops are expected there.
 struct Part {
     to: Vec<f64>,
@@ -159,9 +162,8 @@ struct Part {
 /// Where one plan ended.
 struct Drive {
     played: Played,
-    /// Rows of the ramp, and of a window.
+    /// Rows of the ramp.
     ramp: usize,
-    window: usize,
     settled: bool,
     /// Outputs that did not rest at the end, where it has not settled.
     restless: Vec<String>,
@@ -174,7 +176,7 @@ fn given_up(touched: &[Touched], begun: bool) -> String {
     let worst = touched.iter().max_by(|a, b| beyond(a).total_cmp(&beyond(b)));
     let worst = worst.map_or(String::new(), |t| format!(", `{}` beyond its limit of {}", t.output, t.limit));
     let stood = if begun {
-        ". The first was met before anything had moved: the bed stands outside of its limits, begin the day within them (`start`)"
+        ". The first was met before anything had moved: where the bed stood is outside of its limits (a day begins in the middle of its axes, with the inputs of `start`)"
     } else {
         ""
     };
@@ -270,7 +272,8 @@ impl<'a> Station<'a> {
             let done = (drive.played.played as f64 / drive.ramp.max(1) as f64).min(1.0);
             let reached = from + done * (share - from);
             touched.push(self.touched(stop, route.at(reached))?);
-            begun |= attempt == 0 && drive.played.played <= drive.window;
+            let gone = length(&self.layout.factors, &origin, &route.at(reached));
+            begun |= attempt == 0 && gone <= STOOD;
             self.at = route.at(reached);
             (from, share) = (reached, (reached - self.spec.backoff).max(0.0));
         }
@@ -349,7 +352,7 @@ impl<'a> Station<'a> {
         self.used_s += played.used_s;
         self.keep_driven(&plan, &played.record)?;
         self.at = to;
-        Ok(Drive { played, ramp, window, settled, restless, saturated })
+        Ok(Drive { played, ramp, settled, restless, saturated })
     }
 
     /// Where the loops left their inputs.

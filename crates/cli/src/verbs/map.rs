@@ -31,9 +31,9 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let mut plan = estimate(&job);
     if args.plan.check {
         work::lacks(&job)?;
-        for work::Given { file, points, gaps } in work::given(&job)? {
-            let without = if gaps > 0 { format!(", {gaps} of them without a number somewhere") } else { String::new() };
-            plan = plan.line("measured", format!("{file}: {points} points{without}"));
+        for work::Given { file, points, usable } in work::given(&job)? {
+            let fewer = if usable < points { format!(", {usable} of them can be used") } else { String::new() };
+            plan = plan.line("measured", format!("{file}: {points} points{fewer}"));
         }
         return show_plan(&plan, &job.out, "map", &args.common);
     }

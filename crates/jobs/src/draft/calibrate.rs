@@ -103,6 +103,11 @@ fn thirds(c: &FoundChannel) -> String {
     format!("{}, {}, {}", at(0.25), at(0.5), at(0.75))
 }
 
+/// Channel that a bed imposes where none is named.
+pub(super) const IMPOSED: &str = "speed";
+/// What is minimised where it can be derived.
+const FUEL: &str = "fuel";
+
 pub(super) fn roles<'a>(f: &'a Found, wishes: &Wishes) -> Result<Roles<'a>, DraftError> {
     let lacks = |found: String, expected: &str| DraftError::Lacks {
         file: f.file.clone(),
@@ -110,11 +115,13 @@ pub(super) fn roles<'a>(f: &'a Found, wishes: &Wishes) -> Result<Roles<'a>, Draf
         expected: expected.into(),
     };
     let demands: Vec<&FoundChannel> = f.channels.iter().filter(|c| c.role == Role::Output).collect();
-    let imposed = if wishes.given.is_empty() { vec!["speed".to_string()] } else { wishes.given.clone() };
+    let imposed = if wishes.given.is_empty() { vec![IMPOSED.to_string()] } else { wishes.given.clone() };
     let given: Vec<&FoundChannel> =
         f.channels.iter().filter(|c| c.role == Role::Input && named(c, &imposed)).collect();
+    // Fuel that is metered is no input: it is what is minimised.
+    let metered = |c: &FoundChannel| c.name == FUEL && !named(c, &wishes.inputs);
     let inputs: Vec<&FoundChannel> =
-        f.channels.iter().filter(|c| c.role == Role::Input && !named(c, &imposed)).collect();
+        f.channels.iter().filter(|c| c.role == Role::Input && !named(c, &imposed) && !metered(c)).collect();
     if given.is_empty() {
         return Err(lacks(
             format!("no channel `{}` that moves", imposed.join("`, `")),
@@ -134,9 +141,10 @@ pub(super) fn roles<'a>(f: &'a Found, wishes: &Wishes) -> Result<Roles<'a>, Draf
 pub(super) fn objective(r: &Roles<'_>) -> (String, String) {
     let injected = r.inputs.iter().find(|c| c.unit == "mg");
     let speed = r.given.iter().find(|c| c.unit == "rpm");
+    let taken = r.demands.iter().chain(&r.inputs).any(|c| c.name == FUEL);
     match (injected, speed) {
-        (Some(i), Some(n)) => (
-            "fuel".into(),
+        (Some(i), Some(n)) if !taken => (
+            FUEL.into(),
             format!(
                 "\n[[problem.derive]]           # four-stroke engine, injected mass per cylinder and cycle (thesis eq. 7.11)\nname = \"fuel\"\nunit = \"kg/h\"\nfactor = 3e-5\ncylinders = 4\npowers = {{ {} = 1, {} = 1 }}\n",
                 i.name, n.name

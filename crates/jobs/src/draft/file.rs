@@ -102,7 +102,12 @@ pub(super) fn found_for(file: &Path, wishes: &Wishes, timed: bool) -> Result<Fou
     }
     let (mut channels, mut left_out) = (Vec::new(), Vec::new());
     for c in table.columns.iter().filter(|c| Some(&c.name) != stamps.as_ref()) {
+        let wished = |list: &[String]| list.contains(&c.name);
+        let wished = wished(&wishes.outputs) || wished(&wishes.inputs) || wished(&wishes.given);
         match channel(&table, c) {
+            Ok(_) if !wished && numbers_rows(&table, c) => {
+                left_out.push(format!("`{}`: the number of the row", c.name));
+            }
             Ok(found) => channels.push(found),
             Err(why) => left_out.push(format!("`{}`: {why}", c.name)),
         }
@@ -242,9 +247,6 @@ fn channel(table: &Table, c: &Column) -> Result<FoundChannel, String> {
     if lower >= upper {
         return Err(format!("constant, {lower}"));
     }
-    if c.unit.is_none() && counts(&values) {
-        return Err("the number of the row".into());
-    }
     let aside = units::from_parentheses(&c.name);
     let unit = c.unit.as_ref().map(|u| u.0.clone()).or(aside.clone());
     let name = if aside.is_some() { c.name.split('(').next().unwrap_or(&c.name) } else { &c.name };
@@ -262,9 +264,15 @@ fn channel(table: &Table, c: &Column) -> Result<FoundChannel, String> {
     })
 }
 
-/// Whether values count the rows, from 0 or 1: points have numbers, and nothing moves with them.
-fn counts(values: &[f64]) -> bool {
-    values.len() > 2 && [0.0, 1.0].contains(&values[0]) && values.windows(2).all(|w| w[1] == w[0] + 1.0)
+/// Whether a column numbers the rows: points have numbers, and nothing moves with them. One that is called so, with whole numbers; or one without a unit that counts from 0 or 1.
+fn numbers_rows(table: &Table, c: &Column) -> bool {
+    let Ok(values) = table.numbers_or_missing(&c.name, 0, table.rows()) else { return false };
+    let called =
+        ["point", "nr", "no", "number", "index", "row"].iter().any(|n| c.name.eq_ignore_ascii_case(n));
+    let whole = values.iter().all(|v| v.fract() == 0.0);
+    let counts =
+        values.len() > 2 && [0.0, 1.0].contains(&values[0]) && values.windows(2).all(|w| w[1] == w[0] + 1.0);
+    called && whole || counts && c.unit.is_none()
 }
 
 /// A column of numbers but for some cells, which leave it out: that is a fault of the file rather than a column of words.

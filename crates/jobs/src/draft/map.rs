@@ -26,10 +26,13 @@ pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, Draf
         });
     }
     let mut notes = f.notes.clone();
+    if !f.left_out.is_empty() {
+        notes.push(format!("Left out: {}.", f.left_out.join("; ")));
+    }
     if wishes.inputs.is_empty() {
         let names: Vec<String> = roles.inputs.iter().map(|c| format!("`{}`", c.name)).collect();
         notes.push(format!(
-            "{} are taken as inputs that may move: name those that do with --input, and make limits or outputs of what is only measured.",
+            "{} are taken as inputs that may move: name those that do with --input (and what the bed imposes with --given), and make limits or outputs of what is only measured.",
             names.join(", ")
         ));
     }

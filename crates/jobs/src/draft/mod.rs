@@ -114,6 +114,12 @@ pub enum DraftError {
 /// ```
 pub fn draft(kind: Kind, file: &Path, folder: &Path, wishes: &Wishes) -> Result<Draft, DraftError> {
     // Maps are made from points: where a file has no time, its rows are some.
+    let mut wishes = wishes.clone();
+    if matches!(kind, Kind::Map | Kind::Calibrate) && wishes.given.is_empty() && !wishes.inputs.is_empty() {
+        // What is no input by name is none, but what the bed imposes by default.
+        wishes.given = vec![calibrate::IMPOSED.into()];
+    }
+    let wishes = &wishes;
     let found = file::found_for(file, wishes, !wishes.steady && kind != Kind::Map)?;
     let path = relative(file, folder);
     match kind {

@@ -35,6 +35,9 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     {
         faults.push("bed.slow", slow, "a demand among `axes`: what is slow is told by what it does to one");
     }
+    if let Some(slow) = s.bed.slow.as_ref().filter(|n| s.problem.demands.iter().any(|d| d.output == **n)) {
+        faults.push("bed.slow", format!("`{slow}`"), "an output that no loop holds");
+    }
     if let Some(sweep) = &s.bed.sweep {
         faults.range("bed.sweep.pass_s", sweep.pass_s, 1.0, 3600.0, "s");
         faults.range("bed.sweep.turn_s", sweep.turn_s, 0.0, 600.0, "s");
@@ -54,6 +57,11 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     }
     if let Some(file) = s.edits.as_ref().filter(|f| !f.is_file()) {
         faults.push("edits", file.display(), "a table that is there");
+    }
+    if s.edits.is_some() && !s.optimise.breakpoints.is_empty() {
+        let found = "`edits` beside them";
+        let expected = "one of both: which breakpoints stay is chosen after the day, and an edited cell may not be among them";
+        faults.push("optimise.breakpoints", found, expected);
     }
     whole(s, faults);
     front(s, faults);
@@ -279,7 +287,8 @@ fn axes(s: &MapSpec, faults: &mut Faults) {
         let demand = s.problem.demands.iter().find(|d| d.output == *name).map(|d| (d.lower, d.upper));
         let range = demand.or(s.problem.given.iter().find(|g| g.name == *name).map(|g| (g.lower, g.upper)));
         let (lower, upper) = range.unwrap_or((0.0, 0.0));
-        let increasing = values.windows(2).all(|w| w[0] < w[1]);
+        // As far apart as they can be told from each other.
+        let increasing = values.windows(2).all(|w| w[1] - w[0] > 1e-6 * (upper - lower));
         let inside = values.iter().all(|v| (lower..=upper).contains(v));
         if values.len() < 2 || !increasing || !inside {
             faults.push(

@@ -57,7 +57,14 @@ pub fn estimate(job: &Job) -> Estimate {
         .line("held", if held.is_empty() { "nothing".into() } else { held.join(", ") })
         .line("optimised", free.join(", "))
         .line("limits", if limits.is_empty() { "none".into() } else { limits.join(", ") })
-        .line("gains of the loops", if given { "as given" } else { "found on the plant" })
+        .line(
+            "gains of the loops",
+            match (s.plant.name == "bed", given) {
+                (true, _) => "those of the bed",
+                (_, true) => "as given",
+                _ => "found on the plant",
+            },
+        )
         .line(
             "points",
             format!(

@@ -102,7 +102,11 @@ impl<'s, 'a> Journal<'s, 'a> {
         let inputs = digest_of(&(env!("CARGO_PKG_VERSION"), inputs))?;
         let head = Head { schema: "dynocal/day".into(), schema_version: 2, inputs };
         let path = folder.join(FILE);
-        let kept = earlier(&path, &head);
+        // The latest day, or one that was set aside for another.
+        let aside = (1..).map(|k| numbered(&path, k)).take_while(|p| p.exists());
+        let all = std::iter::once(path.clone()).chain(aside).map(|p| earlier(&p, &head));
+        let kept =
+            all.fold(Vec::new(), |most: Vec<Kept>, day| if day.len() > most.len() { day } else { most });
         let head = line(&head).unwrap_or_default();
         Ok(Self { station, path, head, kept, count: 0, file: None, live: false, watch })
     }
@@ -113,7 +117,7 @@ impl<'s, 'a> Journal<'s, 'a> {
         self.kept.truncate(self.count);
         match set_aside(&self.path, self.count) {
             Ok(Some((others, path))) => self.watch.note(&format!(
-                "{others} points and lines of an earlier day are not those of this one (another seed, plant, loop, approach or choice of points): they are kept in {}",
+                "{others} points and lines of an earlier day are not taken over: they are of another day (seed, plant, limits, loops, approach or choice of points), or stand behind a line that cannot be read. All of that day is kept in {}, and taken up again by its own spec and seed",
                 path.display()
             )),
             Ok(None) => {}
@@ -182,18 +186,28 @@ pub(super) fn digests<T: Serialize>(spec: &T) -> Vec<String> {
     found
 }
 
-/// Copies a day of which more than the first `count` points and lines are there to a name of its own; their number, and where they are now.
+/// Copies a day of which more than the first `count` points and lines are there to a name of its own, as it is; their number, and where they are now.
 fn set_aside(path: &Path, count: usize) -> Result<Option<(usize, PathBuf)>, String> {
-    let Ok(text) = std::fs::read_to_string(path) else { return Ok(None) };
-    let whole = text.lines().skip(1).filter(|l| serde_json::from_str::<serde::de::IgnoredAny>(l).is_ok());
-    let others = whole.count().saturating_sub(count);
+    let bytes = match std::fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        // What cannot be read is not written over.
+        Err(e) => return Err(format!("the earlier day cannot be read: {e}")),
+    };
+    // A last line that was cut off is no point.
+    let others = bytes.split_inclusive(|b| *b == b'\n').skip(1).filter(|l| l.ends_with(b"\n")).count();
+    let others = others.saturating_sub(count);
     if others == 0 {
         return Ok(None);
     }
-    let named = |k: u32| path.with_file_name(format!("day-{k}.jsonl"));
-    let aside = (1..).map(named).find(|p| !p.exists()).unwrap_or_else(|| named(0));
-    atomic::write(&aside, text.as_bytes()).map_err(|e| e.to_string())?;
+    let aside = (1..).map(|k| numbered(path, k)).find(|p| !p.exists()).unwrap_or_else(|| numbered(path, 0));
+    atomic::write(&aside, &bytes).map_err(|e| e.to_string())?;
     Ok(Some((others, aside)))
+}
+
+/// Name of a day that was set aside.
+fn numbered(path: &Path, k: u32) -> PathBuf {
+    path.with_file_name(format!("day-{k}.jsonl"))
 }
 
 fn line<T: Serialize>(value: &T) -> Option<String> {
@@ -202,7 +216,8 @@ fn line<T: Serialize>(value: &T) -> Option<String> {
 
 /// Points of an earlier run with the same inputs, up to the first line that was not written to its end.
 fn earlier(path: &Path, head: &Head) -> Vec<Kept> {
-    let Ok(text) = std::fs::read_to_string(path) else { return Vec::new() };
+    let Ok(bytes) = std::fs::read(path) else { return Vec::new() };
+    let text = String::from_utf8_lossy(&bytes);
     let mut lines = text.lines();
     let same = lines.next().and_then(|l| serde_json::from_str::<Head>(l).ok()).is_some_and(|h| {
         h.schema == head.schema && h.schema_version == head.schema_version && h.inputs == head.inputs

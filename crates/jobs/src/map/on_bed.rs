@@ -35,6 +35,8 @@ pub(super) struct OnBed<'a> {
 const NUMBER: &str = "point";
 /// Distance from what was asked above which a point lies elsewhere, as a share of the range.
 const MISSED: f64 = 0.0125;
+/// Longest day in s: a month.
+const LONGEST_S: f64 = 2.6e6;
 /// Share of the points elsewhere from which on a record is not that of its plan.
 const FOREIGN: f64 = 0.5;
 
@@ -156,6 +158,15 @@ impl<'a> OnBed<'a> {
         let first = all.iter().copied().fold(f64::INFINITY, f64::min);
         let zero = *self.zero_s.get_or_insert(first);
         all.iter_mut().for_each(|t| *t -= zero);
+        if let Some(row) = all.iter().position(|t| *t > LONGEST_S) {
+            return Err(MapError::Record(format!(
+                "{}, {}, column `{}`: found {:e} s after the begin of the day, expected at most {LONGEST_S:e}; leave the column out where stamps cannot be trusted",
+                table.file,
+                table.place(row),
+                column.name,
+                all[row]
+            )));
+        }
         if first - zero < self.used_s {
             return Err(MapError::Record(format!(
                 "{}, column `{}`: begins {:.1} s after the begin of the day, found earlier than the end of the record before ({:.1} s), expected stamps that go on from file to file; leave the column out where they do not",
@@ -195,7 +206,7 @@ impl<'a> OnBed<'a> {
         Ok(())
     }
 
-    /// The channels of a record, whose values can be believed.
+    /// The channels of a record.
     fn values(&self, table: &Table) -> Result<Dataset, MapError> {
         let layout = dataset::Layout {
             channels: self.channels(),
@@ -204,11 +215,18 @@ impl<'a> OnBed<'a> {
             ..dataset::Layout::default()
         };
         let all = dataset::datasets(table, &layout, &Select::All)?.remove(0);
-        record::believable(table, &all, self.layout)?;
+        record::in_size(table, &all)?;
         Ok(all)
     }
 
-    fn read(&mut self, path: &Path, tasks: &[Task], watch: Watch) -> Result<Vec<DayPoint>, MapError> {
+    /// The points of `tasks` as the record at `path` has them; `earlier` are those of the day before.
+    fn read(
+        &mut self,
+        path: &Path,
+        tasks: &[Task],
+        earlier: &[DayPoint],
+        watch: Watch,
+    ) -> Result<Vec<DayPoint>, MapError> {
         let table = dataset::read_table(path, None)?;
         table.notes.iter().for_each(|n| watch.note(n));
         for c in self.channels() {
@@ -224,12 +242,19 @@ impl<'a> OnBed<'a> {
         for (Task { purpose, target: asked, .. }, row) in tasks.iter().zip(rows) {
             let at_s = row.and_then(|r| Some(stamps.as_ref()?[r]));
             let point = match row {
-                Some(row) => self.point(asked, &one_row(&all, row), at_s.unwrap_or(0.0))?,
+                Some(row) => match record::doubt(&all, row, self.layout) {
+                    Some(note) => SteadyPoint { note, at_s: at_s.unwrap_or(0.0), ..self.absent(asked) },
+                    None => self.point(asked, &one_row(&all, row), at_s.unwrap_or(0.0))?,
+                },
                 None => self.absent(asked),
             };
+            if let Some(row) = row.filter(|_| !point.usable) {
+                watch.note(&format!("{}, {}: {}", table.file, table.place(row), point.note));
+            }
             points.push(DayPoint { purpose: *purpose, point });
         }
         self.belongs(&table, &points, tasks)?;
+        self.leave_odd(earlier, &mut points, watch);
         for p in &mut points {
             let Some(words) = self.elsewhere(&p.point.asked, &p.point.factors) else { continue };
             if p.purpose == Purpose::Verify {
@@ -240,6 +265,34 @@ impl<'a> OnBed<'a> {
             }
         }
         Ok(points)
+    }
+
+    /// Points with a response that nothing measured beside those of the day are not learnt from, and verify nothing.
+    fn leave_odd(&self, earlier: &[DayPoint], points: &mut [DayPoint], watch: Watch) {
+        for (k, r) in self.layout.responses.iter().enumerate() {
+            let usable = earlier.iter().chain(points.iter()).filter(|p| p.point.usable);
+            let all: Vec<f64> = usable.map(|p| p.point.responses[k]).filter(|v| v.is_finite()).collect();
+            for (i, p) in points.iter_mut().enumerate().filter(|(_, p)| p.point.usable) {
+                let value = p.point.responses[k];
+                if record::odd(value, &all) {
+                    let note =
+                        format!("`{}` is {value} {}, far off all others: not believed", r.name, r.unit);
+                    watch.note(&format!("point {}: {note}", i + 1));
+                    (p.point.usable, p.point.note) = (false, note);
+                }
+            }
+        }
+    }
+
+    /// The points of a plan that is there; none where it is not, or is not one of this layout.
+    fn planned(&self, plan: &Path) -> Option<Vec<Task>> {
+        let table = dataset::read_table(plan, None).ok()?;
+        let verify = plan.file_stem().is_some_and(|s| s == "verify");
+        let purpose = if verify { Purpose::Verify } else { Purpose::Plan };
+        let column = |f: &Factor| table.numbers(&f.name, 0, table.rows()).ok();
+        let columns: Vec<&[f64]> = self.layout.factors.iter().map(column).collect::<Option<_>>()?;
+        let task = |row: usize| Task::new(purpose, columns.iter().map(|c| c[row]).collect());
+        Some((0..table.rows()).map(task).collect())
     }
 
     fn point(&self, asked: &[f64], row: &Dataset, at_s: f64) -> Result<SteadyPoint, MapError> {
@@ -341,28 +394,32 @@ pub struct Given {
     pub file: String,
     /// Its points.
     pub points: usize,
-    /// Those of them that lack a number, and are not learnt from.
-    pub gaps: usize,
+    /// Those of them that can be used.
+    pub usable: usize,
 }
 
 /// Reads what is measured so far of a day on a bed, as far as it can be read without running the day.
 pub(super) fn given(layout: &Layout, folder: &Path, batches: usize) -> Result<Vec<Given>, MapError> {
-    let mut bed = OnBed::new(layout, folder, Vec::new());
+    let (mut bed, mut points) = (OnBed::new(layout, folder, Vec::new()), Vec::new());
     let names = (1..=batches).map(|k| format!("points{k:02}")).chain(["verify".to_string()]);
     let mut out = Vec::new();
     for name in names {
         let Some(file) = OnBed::record(folder, &name)? else { continue };
         let table = dataset::read_table(&file, None)?;
-        let all = bed.values(&table)?;
-        let asked =
-            dataset::read_table(&folder.join(format!("{name}.csv")), None).map_or(table.rows(), |t| t.rows());
-        bed.rows(&table, asked)?;
-        if let Some(times) = bed.times(&table)? {
-            bed.used_s = times.iter().copied().fold(bed.used_s, f64::max);
-        }
-        let gap = |row: &usize| all.channels.iter().any(|c| !c.values[*row].is_finite());
-        let gaps = (0..table.rows()).filter(gap).count();
-        out.push(Given { file: file.display().to_string(), points: table.rows(), gaps });
+        let usable = if let Some(tasks) = bed.planned(&folder.join(format!("{name}.csv"))) {
+            let read = bed.read(&file, &tasks, &points, Watch::silent())?;
+            bed.used_s = read.iter().map(|p| p.point.at_s).fold(bed.used_s, f64::max);
+            points.extend(read);
+            points.iter().rev().take(tasks.len()).filter(|p| p.point.usable).count()
+        } else {
+            // Without its plan nothing is known of what was asked for.
+            let all = bed.values(&table)?;
+            bed.times(&table)?;
+            let whole = |row: &usize| all.channels.iter().all(|c| c.values[*row].is_finite());
+            let fits = |row: &usize| record::doubt(&all, *row, layout).is_none();
+            (0..table.rows()).filter(whole).filter(fits).count()
+        };
+        out.push(Given { file: file.display().to_string(), points: table.rows(), usable });
     }
     Ok(out)
 }
@@ -402,7 +459,7 @@ impl Bench for OnBed<'_> {
                 channels: channels.join(", "),
             });
         };
-        let read = self.read(&file, &tasks, watch)?;
+        let read = self.read(&file, &tasks, points, watch)?;
         self.used_s = read.iter().map(|p| p.point.at_s).fold(self.used_s, f64::max);
         if let Some(last) = read.iter().rev().find(|p| p.point.usable) {
             self.at.clone_from(&last.point.factors);

@@ -141,7 +141,9 @@ pub fn given(job: &Job) -> Result<Vec<Given>, MapError> {
         return Ok(Vec::new());
     }
     let variables = on_bed::variables(&spec.problem, &spec.others(), &job.out)?;
-    let layout = channels::layout(spec, &channels::axes(spec), None, &variables)?;
+    let axes = channels::axes(spec);
+    let layout = channels::layout(spec, &axes, None, &variables)?;
+    spec.edits.as_ref().map(|file| edits::read(file, &layout, &axes)).transpose()?;
     // No day has more batches than points.
     on_bed::given(&layout, &job.out, spec.bed.points)
 }

@@ -94,18 +94,23 @@ fn a_bed_measures_the_day_from_files() {
     };
     let e = wrong(with("heat [K]", "6e300"));
     assert!(e.contains("points01.csv, line 4, column `heat`: found 6e300"), "{e}");
-    // What no loop of the spec sets, and no demand comes near to.
-    for (column, value, name) in [("load [kg/h]", "400", "load"), ("torque [Nm]", "-9999", "torque")] {
-        let e = wrong(with(column, value));
-        let says = format!("points01.csv, line 4, column `{name}`: found {value}, expected");
-        assert!(e.contains(&says), "{e}");
+    // What no loop of the spec sets, no demand comes near to, and no sensor reads: points that cannot be used.
+    let all = good.lines().count() - 1;
+    for (column, value) in [
+        ("load [kg/h]", "400"),
+        ("torque [Nm]", "-9999"),
+        ("speed [rpm]", "0"),
+        ("heat [K]", "-999"),
+        ("heat [K]", "NaN"),
+    ] {
+        write(&first, with(column, value));
+        let given = &work::given(&job).unwrap()[0];
+        assert_eq!((given.points, given.usable), (all, all - 1), "{column} {value}");
     }
     write(&first, good.clone());
     let given = work::given(&job).unwrap();
     assert_eq!(given.len(), asked.len(), "{given:?}");
-    assert!(given.iter().all(|g| g.gaps == 0), "{given:?}");
-    write(&first, with("heat [K]", "NaN"));
-    assert_eq!(work::given(&job).unwrap()[0].gaps, 1);
+    assert!(given.iter().all(|g| g.usable == g.points), "{given:?}");
     let twice = out.join("measured/points01.txt");
     write(&twice, good.clone());
     let e = work::given(&job).unwrap_err().to_string();
@@ -194,6 +199,17 @@ fn an_interrupted_day_goes_on_where_it_stopped() {
     assert!(!notes.contains("earlier run") && found != whole, "{notes}");
     assert!(notes.contains(&format!("{points} points and lines of an earlier day")), "{notes}");
     assert_eq!(std::fs::read_to_string(&aside).unwrap(), text);
+    // Its own seed takes it up again; what cannot be read as text is kept as well.
+    let (found, notes) = go_on(1);
+    assert!(found == whole && !notes.contains("not taken over"), "{notes}");
+    let mut bytes = text.into_bytes();
+    let middle = (bytes.len() / 2..).find(|k| bytes[*k].is_ascii_digit()).unwrap();
+    bytes[middle] = 0xff;
+    std::fs::remove_file(&aside).unwrap();
+    dynocal_files::atomic::write(&file, &bytes).unwrap();
+    let (found, notes) = go_on(1);
+    assert!(found == whole && notes.contains("behind a line that cannot be read"), "{notes}");
+    assert_eq!(std::fs::read(&aside).unwrap(), bytes);
 }
 
 /// Ctrl-C among the lines, wherever: the day with its lines, whose rests count, is the one that was never interrupted.

@@ -51,7 +51,11 @@ fn a_day_that_begins_outside_of_its_limits_is_said_to_do_so() {
     let text = text(DAY).replace("upper = 720.0", "upper = 560.0");
     let job = job::parse("map.toml", &text, &Overrides { seed: Some(1), out: None }).unwrap();
     let e = work::run_on(&job, &mut Bench::new(0.0, Fault::None), Watch::silent()).unwrap_err().to_string();
-    assert!(e.contains("`heat` beyond its limit of 560") && e.contains("begin the day within them"), "{e}");
+    assert!(
+        e.contains("`heat` beyond its limit of 560")
+            && e.contains("where the bed stood is outside of its limits"),
+        "{e}"
+    );
 }
 
 /// A value that is held has to lie in the range of its channel.

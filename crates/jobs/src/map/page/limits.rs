@@ -39,13 +39,21 @@ fn where_it_acts(cells: &[(f64, f64, bool)]) -> Option<(&'static str, bool, Vec<
     if given.is_empty() {
         return None;
     }
+    // Broken where it acts nowhere; one place makes no line.
+    let line = |end: &dyn Fn((f64, f64)) -> f64| {
+        let mut x: Vec<f64> = cells.iter().map(|c| c.0).collect();
+        x.sort_by(f64::total_cmp);
+        x.dedup();
+        let y = x.iter().map(|g| if given.contains(g) { end(ends(*g)) } else { f64::NAN }).collect();
+        (given.len() > 1, x, y)
+    };
     if all(&|(least, _), demand| demand >= least) {
-        let y = given.iter().map(|g| ends(*g).0).collect();
-        return Some(("the limit acts from here up", true, given, y));
+        let (several, x, y) = line(&|(least, _)| least);
+        return Some(("the limit acts from here up", several, x, y));
     }
     if all(&|(_, most), demand| demand <= most) {
-        let y = given.iter().map(|g| ends(*g).1).collect();
-        return Some(("the limit acts from here down", true, given, y));
+        let (several, x, y) = line(&|(_, most)| most);
+        return Some(("the limit acts from here down", several, x, y));
     }
     let (x, y) = acting().map(|c| (c.0, c.1)).unzip();
     Some(("the limit acts", false, x, y))
@@ -70,5 +78,10 @@ mod tests {
         let between = ("the limit acts", false, vec![2000.0], vec![80.0]);
         assert_eq!(drawn(&|n, y| n > 1500.0 && y == 80.0), Some(between));
         assert_eq!(drawn(&|_, _| false), None);
+        // Nothing goes through a speed at which it does not act, and one place is no line.
+        let cells = [1000.0, 2000.0, 3000.0].map(|n| (n, 40.0, n != 2000.0));
+        let (_, line, x, y) = where_it_acts(&cells).unwrap();
+        assert!(line && x.len() == 3 && y[0] == 40.0 && y[1].is_nan() && y[2] == 40.0, "{x:?} {y:?}");
+        assert!(!where_it_acts(&cells[1..]).unwrap().1);
     }
 }
