@@ -18,7 +18,7 @@ const ABOUT: &str = "Export maps, models and controllers: C, DCM, CDFX, A2L, FMU
 
 #[derive(Args, Debug)]
 struct Export {
-    /// Run folder of `calibrate` (its maps), `identify` (its models) or `control` (its controller), one of their files, a map
+    /// Run folder of `calibrate` or `map` (its maps), `identify` (its models) or `control` (its controller), one of their files, a map
     /// file (.json, .dcm, .cdfx, .csv), or a spec (.toml) whose plant leaves as FMU
     source: PathBuf,
     /// Formats

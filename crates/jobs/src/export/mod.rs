@@ -206,7 +206,7 @@ fn packages(source: &Path, spec: &ExportSpec) -> Result<Vec<Made>, ExportJobErro
     }
     if found.is_empty() {
         let reason = "found no map and no model in its steps and no controller: expected a finished run of `dynocal \
-                      calibrate`, `dynocal identify` or `dynocal control` (sampled loops without a decoupler), or a file";
+                      calibrate`, `dynocal map`, `dynocal identify` or `dynocal control` (sampled loops without a decoupler), or a file";
         return Err(ExportJobError::source(source, reason));
     }
     found.iter().map(|p| of_file(p, spec)).collect()
