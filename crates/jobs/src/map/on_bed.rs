@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::day::{DayEnd, DayPoint, Purpose, Task};
-use dynocal_calib::steady::layout::{Factor, Layout};
+use dynocal_calib::steady::layout::{Factor, FactorKind, Layout};
 use dynocal_calib::steady::station::{Leg, SteadyPoint, Swept};
 use dynocal_files::FilesError;
 use dynocal_files::atomic;
@@ -35,6 +35,8 @@ pub(super) struct OnBed<'a> {
 const NUMBER: &str = "point";
 /// Distance from what was asked above which a point lies elsewhere, as a share of the range.
 const MISSED: f64 = 0.0125;
+/// Share of its range by which a demand is missed where it is that of another plan, or in another unit.
+const FAR: f64 = 0.1;
 /// Longest day in s: a month.
 const LONGEST_S: f64 = 2.6e6;
 /// Share of the points elsewhere from which on a record is not that of its plan.
@@ -179,10 +181,11 @@ impl<'a> OnBed<'a> {
         Ok(Some(all))
     }
 
-    /// Where a point lies elsewhere than asked, in words; none where it was set as asked.
-    fn elsewhere(&self, asked: &[f64], factors: &[f64]) -> Option<String> {
+    /// Where a point lies elsewhere than asked, in words; none where it was set as asked. `demanded`: share of its range by which a demand may be missed.
+    fn elsewhere(&self, asked: &[f64], factors: &[f64], demanded: f64) -> Option<String> {
         let away = |((f, a), x): ((&Factor, &f64), &f64)| {
-            ((x - a).abs() > MISSED * (f.upper - f.lower))
+            let share = if matches!(f.kind, FactorKind::Demand(_)) { demanded } else { MISSED };
+            ((x - a).abs() > share * (f.upper - f.lower))
                 .then(|| format!("`{}` was {x:.4} {} where {a:.4} was asked", f.name, f.unit))
         };
         let all: Vec<String> = self.layout.factors.iter().zip(asked).zip(factors).filter_map(away).collect();
@@ -192,8 +195,9 @@ impl<'a> OnBed<'a> {
     /// A record most of whose points lie elsewhere is that of another plan, or has channels that are not what they are called.
     fn belongs(&self, table: &Table, points: &[DayPoint], asked: &[Task]) -> Result<(), MapError> {
         let measured = points.iter().zip(asked).filter(|(p, _)| p.point.factors[0].is_finite());
-        let away: Vec<String> =
-            measured.clone().filter_map(|(p, t)| self.elsewhere(&t.target, &p.point.factors)).collect();
+        // A bed that does not hold its demands is no other bed.
+        let away = |(p, t): (&DayPoint, &Task)| self.elsewhere(&t.target, &p.point.factors, FAR);
+        let away: Vec<String> = measured.clone().filter_map(away).collect();
         if away.len() as f64 > FOREIGN * measured.count() as f64 {
             return Err(MapError::Record(format!(
                 "{}: {} of {} points were set elsewhere than planned, first: {}. Is it the record of another plan (seed or spec changed), or are channels or units exchanged?",
@@ -256,7 +260,7 @@ impl<'a> OnBed<'a> {
         self.belongs(&table, &points, tasks)?;
         self.leave_odd(earlier, &mut points, watch);
         for p in &mut points {
-            let Some(words) = self.elsewhere(&p.point.asked, &p.point.factors) else { continue };
+            let Some(words) = self.elsewhere(&p.point.asked, &p.point.factors, MISSED) else { continue };
             if p.purpose == Purpose::Verify {
                 (p.point.usable, p.point.note) = (false, words);
             } else {
