@@ -113,6 +113,9 @@ fn a_day_ends_in_maps_that_are_exported_and_the_page_says_what_they_are_worth() 
     // Points that follow the optimum were taken, and the whole map was one program.
     assert!(!found["rounds"].as_array().unwrap().is_empty(), "{found}");
     assert_eq!(found["whole"][0], serde_json::json!("converged"), "{}", found["whole"]);
+    // Together cells cost more than each alone, and the page says how much.
+    let cost = found["checks"].as_array().unwrap().iter().find(|c| c["id"] == "whole-cost").unwrap();
+    assert!(cost["measured"].as_f64().unwrap() > -1e-3, "{cost}");
     let spark = |c: &Value| c["optimum"]["x"][2].as_f64().unwrap();
     let cells = found["cells"].as_array().unwrap();
     for (k, c) in cells.iter().enumerate().filter(|(_, c)| c["state"] == "optimal") {

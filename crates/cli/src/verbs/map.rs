@@ -67,7 +67,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
 
 /// The state of a day that waits for a bed, as `--json` prints it in place of a summary.
 fn waiting(name: &str, e: &MapError) -> String {
-    let MapError::NeedsMeasurement { count, plan, measured, channels } = e else { return String::new() };
+    let MapError::NeedsMeasurement { count, plan, measured, channels, .. } = e else { return String::new() };
     let state = serde_json::json!({
         "schema": "dynocal/waiting",
         "schema_version": 1,

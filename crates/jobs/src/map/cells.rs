@@ -25,6 +25,16 @@ pub(super) fn actuators(layout: &Layout, cell: &Cell) -> Vec<f64> {
     layout.problem.inputs.iter().enumerate().map(value).collect()
 }
 
+/// By how much what is minimised (its `caution` counted in) is above what each optimal cell had by itself, as a share: mean and largest. None where no cell has a size.
+pub(super) fn above_alone(cells: &[Cell], caution: f64) -> Option<[f64; 2]> {
+    let cost = |c: &Cell| c.optimum.objective + caution * c.optimum.objective_deviation;
+    let optimal = cells.iter().filter(|c| c.state == CellState::Optimal);
+    let shares: Vec<f64> =
+        optimal.map(|c| (cost(c) - c.best) / c.best.abs()).filter(|s| s.is_finite()).collect();
+    let largest = shares.iter().copied().reduce(f64::max)?;
+    Some([shares.iter().sum::<f64>() / shares.len() as f64, largest])
+}
+
 /// Why a cell is not what was asked for; empty where it is.
 pub(super) fn missed(layout: &Layout, cell: &Cell) -> String {
     match cell.state {

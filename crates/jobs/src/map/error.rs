@@ -57,7 +57,7 @@ pub enum MapError {
     },
     /// A real bed must measure first.
     #[error(
-        "{count} points wait to be measured on the bed:\n  {plan} -> {measured}\nPut the measured points at the path that stands beside the plan, a row for each point, with the channels {channels}, a column `point` with their numbers (or all of them in their order) and `time [s]` where drift is to be told; then start again: what is measured is kept (docs/map.md)"
+        "{count} points wait to be measured on the bed:\n  {plan} -> {measured}\nPut the measured points at the path that stands beside the plan, a row for each point, with the channels {channels}, a column `point` with their numbers (or all of them in their order) and `time [s]` where drift is to be told; then start again: what is measured is kept (docs/map.md){}", if others.is_empty() { String::new() } else { format!(". Beside the records there are files that are called like no plan: {others}") }
     )]
     NeedsMeasurement {
         /// Points of the plan.
@@ -68,6 +68,8 @@ pub enum MapError {
         measured: String,
         /// Channels of the record.
         channels: String,
+        /// Files beside the records that are called like no plan.
+        others: String,
     },
     /// A record of a bed that does not fit its plan.
     #[error("{0}")]

@@ -65,6 +65,20 @@ impl<'a> OnBed<'a> {
         Ok(found.pop())
     }
 
+    /// Files among the records that are called like no plan so far.
+    fn others(&self, measured: &Path) -> String {
+        let named = |name: &str| {
+            let plans = (1..=self.batches.max(1)).map(|k| format!("points{k:02}"));
+            plans.chain(["verify".to_string()]).any(|plan| name.starts_with(&format!("{plan}.")))
+        };
+        let files = std::fs::read_dir(measured).into_iter().flatten().flatten();
+        let names = files.map(|f| f.file_name().to_string_lossy().into_owned());
+        let mut others: Vec<String> =
+            names.filter(|n| !named(n) && !n.starts_with('.')).map(|n| format!("`{n}`")).collect();
+        others.sort();
+        others.join(", ")
+    }
+
     fn write_plan(&self, path: &Path, tasks: &[Task]) -> Result<(), MapError> {
         let l = self.layout;
         let demands = l.problem.demands.iter().map(|d| format!("{} [{}]", d.output, d.unit));
@@ -461,6 +475,7 @@ impl Bench for OnBed<'_> {
                 plan: plan.display().to_string(),
                 measured: measured.join(format!("{name}.csv")).display().to_string(),
                 channels: channels.join(", "),
+                others: self.others(&measured),
             });
         };
         let read = self.read(&file, &tasks, points, watch)?;

@@ -7,7 +7,7 @@ use dynocal_calib::steady::layout::Layout;
 use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Cell as Value, Check, significant};
 
-use super::cells::{end_in_words, missed, objective_unit};
+use super::cells::{above_alone, end_in_words, missed, objective_unit};
 use super::halfway::JUMP;
 use super::learn::Learned;
 use super::result::{MapAxis, Mapped, Verified};
@@ -99,6 +99,20 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
                 .note(format!("it ended as {status:?}"))
                 .holds(status.is_success()),
         );
+        // Maps from a front are dearer by what was traded.
+        if let Some([mean, largest]) =
+            above_alone(&found.cells, spec.optimise.caution).filter(|_| found.front.is_none())
+        {
+            let words = "what steps, ways and smoothness of the program of all cells add to what is minimised, mean of the cells";
+            let most = format!("{} % at most", significant(100.0 * largest, 2));
+            checks.push(Check::new("whole-cost", words).measured(100.0 * mean).unit("%").note(most.clone()));
+            if largest > LOST {
+                let mean = significant(100.0 * mean, 2);
+                warnings.push(format!(
+                    "steps, ways and smoothness of `optimise.whole` cost {mean} % of what is minimised in the mean of the cells and {most}"
+                ));
+            }
+        }
     }
     if let Some((front, share)) = found.front.as_ref().zip(take(spec)) {
         let least = front.points.last().map_or(f64::NAN, |p| p.other);

@@ -252,6 +252,11 @@ fn points_that_are_all_the_same_are_refused_with_their_numbers() {
         panic!("a bed has to measure first")
     };
     let good = played(&std::fs::read_to_string(plan).unwrap(), 0, 0);
+    // A record under another name is said to be there.
+    let other = std::path::Path::new(&measured).with_file_name("Points1.csv");
+    write(&other, good.clone());
+    let e = dynocal_jobs::map::run(&job, Watch::silent()).map(|_| ()).unwrap_err().to_string();
+    assert!(e.contains("wait to be measured") && e.contains("like no plan: `Points1.csv`"), "{e}");
     let first: Vec<&str> = good.lines().nth(1).unwrap().splitn(3, ',').collect();
     let copy = |(k, line): (usize, &str)| match k {
         0 => line.to_string(),
