@@ -198,7 +198,20 @@ fn a_day_that_waits_for_a_bed_says_its_state_as_json_and_check_reads_what_is_the
         "{}",
         o.stderr
     );
-    atomic::write(&measured, b"point,throttle [deg],inj [mg],spark [deg],speed [rpm],torque [Nm],lambda [-]\n1,20,15,25,2000,50,1\n").unwrap();
+    // The first point as it was planned; elsewhere it is the record of another plan.
+    let head: Vec<&str> = plan.lines().next().unwrap().split(',').collect();
+    let row: Vec<&str> = plan.lines().nth(1).unwrap().split(',').collect();
+    let asked = |name: &str| row[head.iter().position(|h| h.starts_with(name)).unwrap()];
+    let given = |spark: &str| {
+        let (speed, torque) = (asked("speed"), asked("torque"));
+        format!(
+            "point,throttle [deg],inj [mg],spark [deg],speed [rpm],torque [Nm],lambda [-]\n1,20,15,{spark},{speed},{torque},1\n"
+        )
+    };
+    atomic::write(&measured, given("37.5").as_bytes()).unwrap();
+    let o = map(tmp.path(), &spec, &["--check"]);
+    assert!(o.code == 2 && o.stderr.contains("1 of 1 measured points were set elsewhere"), "{}", o.stderr);
+    atomic::write(&measured, given(asked("spark")).as_bytes()).unwrap();
     let o = map(tmp.path(), &spec, &["--check"]);
     assert!(o.code == 0 && o.stdout.contains("points01.csv: 1 points"), "{} {}", o.stdout, o.stderr);
 }

@@ -212,12 +212,13 @@ impl<'a> OnBed<'a> {
         // A bed that does not hold its demands is no other bed.
         let away = |(p, t): (&DayPoint, &Task)| self.elsewhere(&t.target, &p.point.factors, FAR);
         let away: Vec<String> = measured.clone().filter_map(away).collect();
-        if away.len() as f64 > FOREIGN * measured.count() as f64 {
+        let count = measured.count();
+        if away.len() as f64 > FOREIGN * count as f64 {
             return Err(MapError::Record(format!(
-                "{}: {} of {} points were set elsewhere than planned, first: {}. Is it the record of another plan (seed or spec changed), or are channels or units exchanged?",
+                "{}: {} of {} measured points were set elsewhere than planned, first: {}. Is it the record of another plan (seed or spec changed), or are channels or units exchanged?",
                 table.file,
                 away.len(),
-                points.len(),
+                count,
                 away[0]
             )));
         }
