@@ -102,11 +102,12 @@ impl<'s, 'a> Journal<'s, 'a> {
         let inputs = digest_of(&(env!("CARGO_PKG_VERSION"), inputs))?;
         let head = Head { schema: "dynocal/day".into(), schema_version: 2, inputs };
         let path = folder.join(FILE);
-        // The latest day, or one that was set aside for another.
-        let aside = (1..).map(|k| numbered(&path, k)).take_while(|p| p.exists());
-        let all = std::iter::once(path.clone()).chain(aside).map(|p| earlier(&p, &head));
-        let kept =
-            all.fold(Vec::new(), |most: Vec<Kept>, day| if day.len() > most.len() { day } else { most });
+        // The latest day goes on; where it is another one, the longest of those that were set aside for it.
+        let mut kept = earlier(&path, &head);
+        if kept.is_empty() {
+            let aside = (1..).map(|k| numbered(&path, k)).take_while(|p| p.exists());
+            kept = aside.map(|p| earlier(&p, &head)).max_by_key(Vec::len).unwrap_or_default();
+        }
         let head = line(&head).unwrap_or_default();
         Ok(Self { station, path, head, kept, count: 0, file: None, live: false, watch })
     }
@@ -117,7 +118,7 @@ impl<'s, 'a> Journal<'s, 'a> {
         self.kept.truncate(self.count);
         match set_aside(&self.path, self.count) {
             Ok(Some((others, path))) => self.watch.note(&format!(
-                "{others} points and lines of an earlier day are not taken over: they are of another day (seed, plant, limits, loops, approach or choice of points), or stand behind a line that cannot be read. All of that day is kept in {}, and taken up again by its own spec and seed",
+                "{others} points and lines of an earlier day are not taken over: they are of another day (seed, plant, limits, loops, approach or choice of points), or stand behind a line that cannot be read. All of that day is kept in {}",
                 path.display()
             )),
             Ok(None) => {}

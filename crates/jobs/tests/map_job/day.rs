@@ -202,6 +202,23 @@ fn an_interrupted_day_goes_on_where_it_stopped() {
     // Its own seed takes it up again; what cannot be read as text is kept as well.
     let (found, notes) = go_on(1);
     assert!(found == whole && !notes.contains("not taken over"), "{notes}");
+    // Another choice of points with the same seed, interrupted, goes on with its own points, though a longer day stands aside.
+    write(&file, text.clone());
+    let other = job::parse(
+        "map.toml",
+        &self::text(&DAY.replace("block = 10", "block = 9")),
+        &Overrides { seed: Some(1), out: None },
+    );
+    let (other, stop) = (other.unwrap(), || lines() > 20 && tmp.path().join("day-2.jsonl").exists());
+    let early = Watch { interrupt: &stop, ..Watch::silent() };
+    assert!(work::run_on_in(&other, &mut bench(), Some(tmp.path()), early).is_err());
+    let (measured, notes) = (lines() - 1, std::sync::Mutex::new(Vec::new()));
+    let note = |n: &str| notes.lock().unwrap().push(n.to_string());
+    work::run_on_in(&other, &mut bench(), Some(tmp.path()), Watch { note: &note, ..Watch::silent() })
+        .unwrap();
+    let notes = notes.into_inner().unwrap().join("\n");
+    assert!(notes.contains(&format!("{measured} points are those of the earlier run")), "{measured} {notes}");
+    std::fs::remove_file(tmp.path().join("day-2.jsonl")).unwrap();
     let mut bytes = text.into_bytes();
     let middle = (bytes.len() / 2..).find(|k| bytes[*k].is_ascii_digit()).unwrap();
     bytes[middle] = 0xff;
