@@ -49,7 +49,7 @@ pub use feedback::Feedback;
 pub use filling::{Filling, FillingState};
 pub use film::{Film, FilmState};
 pub use identify::{
-    FuellingError, SteadyPoint, TransientRecord, identify, identify_with, identify_without_film,
+    FuellingError, STILL_S, SteadyPoint, TransientRecord, identify, identify_with, identify_without_film,
     steady_charge, steady_charge_with,
 };
 pub use learning::Learning;

@@ -20,6 +20,7 @@ mod limits;
 pub mod loops;
 pub mod many;
 mod map;
+mod promise;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -126,6 +127,7 @@ pub static STUDIES: &[Study] = &[
     limits::STUDY,
     loops::STUDY,
     map::STUDY,
+    promise::STUDY,
 ];
 
 /// The study of that name.

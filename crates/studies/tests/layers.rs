@@ -25,6 +25,7 @@ const ORDER: &[&str] = &[
     "limits",
     "loops",
     "map",
+    "promise",
 ];
 
 #[test]

@@ -10,7 +10,7 @@ mod search;
 mod steady;
 mod worth;
 
-pub use record::TransientRecord;
+pub use record::{STILL_S, TransientRecord};
 pub use steady::SteadyPoint;
 
 use super::adapt::Left;

@@ -1,6 +1,6 @@
 //! A plant that answers, driven over throttle and speed by whatever gives its fuel.
 
-use dynocal_calib::fuelling::{FuelPolicy, Sensed, SpeedDensityState};
+use dynocal_calib::fuelling::{FuelPolicy, STILL_S, Sensed, SpeedDensityState};
 use dynocal_ident::plant::{Causality, Plant};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
@@ -13,6 +13,8 @@ use super::spec::{Channels, Test};
 
 /// Most change of the speed in rpm/s.
 const SPEED_RATE: f64 = 1000.0;
+/// Time of a hold after its ramp of the speed, in s: with it a hold ends at rest, and rests are what charge and throttle are begun from.
+const REST_S: f64 = STILL_S + 0.1;
 /// Steps of the fuel in the middle of a hold, as shares: they tell the film where the air stands still.
 const STEP: f64 = 0.08;
 /// Time constant of the loop of a first record in s: slower than any transport.
@@ -33,7 +35,7 @@ pub(super) struct Course {
 }
 
 impl Course {
-    /// Points drawn and held.
+    /// Points drawn and held, each until it rests.
     pub(super) fn drawn(test: &Test, length_s: f64, rng: &mut Rng64) -> Self {
         let dt_s = test.sample_time_s;
         let samples = (length_s / dt_s).round() as usize;
@@ -44,7 +46,9 @@ impl Course {
         while out.throttle_deg.len() < samples {
             let throttle = rng.uniform_in(low, high).exp();
             let speed = rng.uniform_in(test.speed_rpm.lower, test.speed_rpm.upper);
-            let hold = (rng.uniform_in(test.hold_s.lower, test.hold_s.upper) / dt_s) as usize;
+            let ramp_s = at_rpm.map_or(0.0, |at: f64| (speed - at).abs() / SPEED_RATE);
+            let hold_s = rng.uniform_in(test.hold_s.lower, test.hold_s.upper).max(ramp_s + REST_S);
+            let hold = (hold_s / dt_s) as usize;
             let step = if rng.uniform_in(0.0, 1.0) < 0.5 { STEP } else { -STEP };
             let mut now = at_rpm.unwrap_or(speed);
             for t in 0..hold {

@@ -131,7 +131,7 @@ pub struct Test {
     pub unseen_s: f64,
     /// Interval of control in s.
     pub sample_time_s: f64,
-    /// Shortest and longest hold in s.
+    /// Shortest and longest hold in s; one whose ramp of the speed needs more ends 2.1 s after it.
     pub hold_s: Interval,
     /// Other inputs of the plant, by name; as they start where nothing is said.
     pub held: BTreeMap<String, f64>,

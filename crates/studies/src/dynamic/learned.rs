@@ -10,14 +10,14 @@ use super::measures::Measures;
 use super::rivals::{Ours, Played};
 
 /// Trials, and what the learning of the table of rivals does in each: gain, and samples on either side of a mean over 50 ms.
-const TRIALS: u64 = 14;
+pub(super) const TRIALS: u64 = 14;
 /// Trials at reduced length.
-const SHORT: u64 = 3;
-const GAIN: f64 = 0.6;
-const HALF: usize = 2;
+pub(super) const SHORT: u64 = 3;
+pub(super) const GAIN: f64 = 0.6;
+pub(super) const HALF: usize = 2;
 /// Cycles from the command of an injection until its gas is in the exhaust manifold that are tried; the best one counts, by the
 /// judged record: what is sought is the best that there is.
-const LATE_CYCLES: [f64; 4] = [0.75, 1.0, 1.5, 2.0];
+pub(super) const LATE_CYCLES: [f64; 4] = [0.75, 1.0, 1.5, 2.0];
 
 /// Learned fuel in all courses.
 pub(super) fn row(of: &Contest<'_>, known: &Known, name: &str, preview: bool) -> Result<Row, String> {

@@ -56,8 +56,9 @@ const LEAST_RANGE_K: f64 = 10.0;
 const TURNS: usize = 30;
 /// Ridge beside rows of some 10 K.
 const RIDGE: f64 = 1e-6;
-/// Time without movement after which a sample is at rest, and time that is averaged there, in s.
-pub(super) const STILL_S: f64 = 2.0;
+/// Time without movement after which a record is at rest, in s: charge and throttle are begun from the rests, twenty at least.
+pub const STILL_S: f64 = 2.0;
+/// Time that is averaged at the end of a rest, in s.
 const MEAN_S: f64 = 0.6;
 /// Movement that counts as none: of the speed, relative; of the throttle, of the range of the record.
 const STILL_SPEED: f64 = 0.01;

@@ -16,6 +16,7 @@ use super::super::contest::{AHEADS_S, APART, CLOSED_S, Ended, REPEATED};
 use super::super::measures::integral_s;
 use super::bed::{Course, MOST_MG, Trace, bed, play};
 use super::control::{Driver, Fuel, PRODUCTION, Path, Setting};
+use super::learned;
 use super::measures::TipIn;
 use super::search::Searched;
 use super::steady::{Of, Steady};
@@ -210,6 +211,11 @@ impl Contest {
         play(&self.bed, seed, course, driver)
     }
 
+    /// Not the disturbances of the records.
+    pub(super) fn judged_seed(&self) -> u64 {
+        self.seed + 1000
+    }
+
     /// The shared steady points, at the coolant of the records.
     fn points(&self, traces: &[Trace]) -> Vec<SteadyPoint> {
         let coolant = || traces.iter().flat_map(|t| &t.coolant_c);
@@ -338,13 +344,18 @@ impl Contest {
                     )
                     .collect();
                 }
-                let trace = self.played(self.seed + 1000, &course, &mut driver)?;
+                let trace = self.played(self.judged_seed(), &course, &mut driver)?;
                 Ok::<_, String>(TipIn::of(&trace, &course))
             };
             let tips = TIPS.iter().map(one).collect::<Result<_, _>>()?;
             Ok(Row { name: name.clone(), words: words(*fuelled), tips })
         };
-        Ok(all.par_iter().map(row).collect::<Result<_, String>>()?)
+        let mut out: Vec<Row> = all.par_iter().map(row).collect::<Result<_, String>>()?;
+        if interrupted() {
+            return Err(Ended::Interrupted);
+        }
+        out.push(learned::row(self, known, ours)?);
+        Ok(out)
     }
 }
 

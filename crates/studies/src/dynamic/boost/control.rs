@@ -137,6 +137,11 @@ pub(super) enum Fuel {
     /// The steady map over the demand.
     Demand,
     Ecu(Box<SpeedDensityState>),
+    /// Fuel that was learned, sample by sample.
+    Played {
+        injection_mg: Vec<f64>,
+        at: usize,
+    },
     /// The identified policy; with what the lambda sensor shows, or without it.
     Policy {
         policy: Box<FuelPolicy>,
@@ -172,6 +177,10 @@ impl Controller for Driver<'_> {
                 steady.at(Of::Fuel, Of::Map, y.map_kpa, n) * (1.0 + *factor)
             }
             Fuel::Demand => steady.at(Of::Fuel, Of::Torque, torque_nm, n),
+            Fuel::Played { injection_mg, at } => {
+                *at += 1;
+                injection_mg[(*at - 1).min(injection_mg.len() - 1)]
+            }
             Fuel::Ecu(ecu) => ecu.step(&sensed(true), 1.0),
             Fuel::Policy { policy, trimmed } => policy.step(&sensed(*trimmed), 1.0),
         };

@@ -1,7 +1,8 @@
 //! What scenarios 3 and 4 ask.
 
 use super::super::judge::judged;
-use super::contest::{OURS, PREPARED, TIPS, UNTRIMMED, WAITS};
+use super::contest::{OURS, PREPARED, Row, TIPS, UNTRIMMED, WAITS};
+use super::learned::POSSIBLE;
 use super::measures::TipIn;
 use super::{ENGINE, TipCase, cases};
 use crate::asked::Asked;
@@ -20,14 +21,25 @@ fn value(case: &TipCase, name: &str, tip: usize, of: Of) -> Option<f64> {
     case.found.as_ref()?.rows.iter().find(|r| r.name == name)?.tips.get(tip).map(of)
 }
 
+/// The rival of least `by` among those that count.
+fn best_by(rows: &[Row], tip: usize, by: Of, rivals: Rivals) -> Option<&Row> {
+    let counts = |name: &str| {
+        ![OURS, UNTRIMMED, WAITS, POSSIBLE].contains(&name)
+            && name.ends_with(PREPARED) == (rivals == Rivals::Prepared)
+    };
+    let known = rows.iter().filter(|r| counts(&r.name) && r.tips.get(tip).is_some());
+    known.min_by(|a, b| by(&a.tips[tip]).total_cmp(&by(&b.tips[tip])))
+}
+
+/// A row over the rival that is best in `by`.
+fn over(case: &TipCase, name: &str, tip: usize, of: Of, by: Of, rivals: Rivals) -> Option<f64> {
+    let best = best_by(&case.found.as_ref()?.rows, tip, by, rivals)?;
+    Some(value(case, name, tip, of)? / of(&best.tips[tip]))
+}
+
 /// Ours over the best rival's.
 fn ratio(case: &TipCase, tip: usize, of: Of, rivals: Rivals) -> Option<f64> {
-    let rows = &case.found.as_ref()?.rows;
-    let counts = |name: &str| {
-        ![OURS, UNTRIMMED, WAITS].contains(&name) && name.ends_with(PREPARED) == (rivals == Rivals::Prepared)
-    };
-    let best = rows.iter().filter(|r| counts(&r.name)).filter_map(|r| r.tips.get(tip).map(of));
-    Some(value(case, OURS, tip, of)? / best.reduce(f64::min)?)
+    over(case, OURS, tip, of, of, rivals)
 }
 
 /// Reads a number from a case.
@@ -89,6 +101,38 @@ fn numbers() -> Vec<Number> {
             let (id, what) = named(scenario, words);
             let what = format!("{what}, over the best rival's");
             out.push(Number { id, what, asked, of: Box::new(move |c| ratio(c, tip, of, rivals)) });
+        }
+        // What fuel can have that holds lambda at 1 with the same air, and what ours has beside the one rival that holds lambda best.
+        let (integral, co_hc): (Of, Of) = (|t| t.integral_s, |t| t.co_hc_g);
+        let beside: [(&str, &str, Of, Of); 4] = [
+            (
+                "integral-possible: integral of |lambda - 1| of what is possible, over the best rival's",
+                POSSIBLE,
+                integral,
+                integral,
+            ),
+            ("co-hc-possible: CO and HC of what is possible, over the best rival's", POSSIBLE, co_hc, co_hc),
+            (
+                "co-hc-lambda: CO and HC beside the rival with the least integral of |lambda - 1|",
+                OURS,
+                co_hc,
+                integral,
+            ),
+            (
+                "co-hc-lambda-possible: that of what is possible beside the same rival",
+                POSSIBLE,
+                co_hc,
+                integral,
+            ),
+        ];
+        for (words, row, of, by) in beside {
+            let (id, what) = named("4", words);
+            out.push(Number {
+                id,
+                what,
+                asked: Reported,
+                of: Box::new(move |c| over(c, row, tip, of, by, Table)),
+            });
         }
         // What it is worth to hold the throttle back until its fuel is there, and what it costs.
         let waiting: [(&str, Of); 3] = [

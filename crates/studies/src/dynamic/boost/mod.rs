@@ -11,6 +11,7 @@ mod bed;
 mod contest;
 mod control;
 mod judge;
+mod learned;
 mod measures;
 mod page;
 mod search;
@@ -29,7 +30,7 @@ use contest::{Contest, Found};
 pub(super) const ENGINE: &str = "gtdi_2l";
 
 /// How a case is made: another number with every change of the procedure, so that results of another one are not taken over.
-const METHOD: usize = 2;
+const METHOD: usize = 3;
 /// What its result depends on beside engine, seed and length: records, the one whose cams are moved, halvings of the retard, the procedure.
 pub(super) const TRIED: [usize; 4] = [contest::RECORDS, contest::MOVES, search::HALVINGS, METHOD];
 
