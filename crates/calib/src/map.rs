@@ -18,6 +18,7 @@ pub mod start;
 pub mod static_map;
 pub mod structured;
 pub mod structures;
+mod surface;
 
 pub use filter::FirstOrder;
 pub use rows::Rows;

@@ -12,13 +12,14 @@
 //! h and tau(T, N) = tau0 (N0/N)^a (T/T0)^b for every actuator that does not lead, by models of the plant; [`LeadLagMap::led`] lets the
 //! one that leads go beyond its rest for a while (h > 1), where nothing has to wait for it.
 
+mod onto;
+
 use super::lookup::Corners;
-use super::structured::terms::{self, Scale, Term};
 use super::structured::{StructuredMap, StructuredShape};
 use super::structures::{
     FitTask, FittedMap, InverseScore, MapError, MapRow, MapStructure, Pairs, StoredMap, r2,
 };
-use super::{FeedforwardMap, FirstOrder, Judge, MapForm, Ports, Rows, SteadyPoint, anchor};
+use super::{FeedforwardMap, FirstOrder, Judge, MapForm, Ports, Rows, SteadyPoint};
 use dynocal_files::spec::Faults;
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
@@ -419,31 +420,8 @@ impl FeedforwardMap for LeadLagMap {
         MapForm::Tables(self)
     }
 
-    /// Tables moved by the correction of the points inside of their box, and by its value at the edge outside.
     fn anchored(&self, points: &[SteadyPoint]) -> Option<StoredMap> {
-        let scales: Vec<Scale> = self.region.iter().map(|r| Scale::of_range(*r)).collect();
-        let all = terms::terms(&self.ports, &scales, &StructuredShape::default());
-        let own = anchor::at_rest(&all, self.ports.demands.len());
-        let terms: Vec<Term> = own.iter().map(|k| all[*k].clone()).collect();
-        let moved = anchor::correction(&terms, &scales, points, |r| self.steady(r))?;
-        let span = |r: usize| Interval::spanning(points.iter().map(|p| p.reference[r]));
-        let box_of: Vec<Interval> = (0..self.region.len()).map(span).collect();
-        // Given channels beyond the first are no axes: where the points were.
-        let mut at: Vec<f64> = box_of.iter().map(|b| b.middle()).collect();
-        let (mut map, mut row, first_given) = (self.clone(), Vec::new(), self.ports.demands.len());
-        for (i, t) in self.demand.iter().enumerate() {
-            for (j, n) in self.given.iter().enumerate() {
-                at[0] = box_of[0].clamp(*t);
-                if let Some(b) = box_of.get(first_given) {
-                    at[first_given] = b.clamp(*n);
-                }
-                terms::values(&terms, &scales, |r, _| at[r], &mut row);
-                for (a, delta) in map.actuators.iter_mut().zip(&moved) {
-                    a.base[i * self.given.len() + j] += dynocal_numerics::linalg::dot(&row, delta);
-                }
-            }
-        }
-        Some(StoredMap::new(map))
+        self.onto(points).map(StoredMap::new)
     }
 
     /// First one lag for all that follow ([`LeadLagMap::lagged`]); then for each of them lag,

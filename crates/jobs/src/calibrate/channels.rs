@@ -20,7 +20,7 @@ pub struct Channels {
     pub demands: Vec<String>,
     /// Outputs with limits, and others that the objective reads.
     pub others: Vec<String>,
-    /// Outputs that the models of all others may read.
+    /// Outputs that the models of all others may read; each of them reads those before it.
     pub read: Vec<String>,
     /// Outputs that are recorded and not modelled: something else than a loop holds each at the given channel of its demand.
     pub watched: Vec<String>,
@@ -81,6 +81,11 @@ impl Channels {
     /// Outputs that are recorded and modelled: demanded ones first.
     pub fn outputs(&self) -> Vec<String> {
         self.demands.iter().chain(&self.others).cloned().collect()
+    }
+
+    /// Outputs that the model of `output` may read.
+    pub fn read_by(&self, output: &str) -> &[String] {
+        &self.read[..self.read.iter().position(|r| r == output).unwrap_or(self.read.len())]
     }
 
     /// Measured references of a record (demanded outputs, given channels).

@@ -84,6 +84,16 @@ pub struct Governs {
     pub injection: String,
     /// Demanded output that it holds.
     pub lambda: String,
+    /// Pressure before the throttle, which the air goes with; none where it is that of the surroundings.
+    #[serde(default)]
+    pub boost: Option<String>,
+}
+
+impl Governs {
+    /// Outputs that models may read, each those before it: what flows through the engine stands on the pressure before the throttle.
+    pub fn read(&self) -> impl Iterator<Item = &String> {
+        self.boost.iter().chain(std::iter::once(&self.injection))
+    }
 }
 
 /// Rough shares of the steps and of the report in the whole time, for progress only.

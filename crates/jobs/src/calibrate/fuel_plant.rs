@@ -243,7 +243,7 @@ mod tests {
     use dynocal_ident::derived::Derived;
 
     fn by() -> Governs {
-        Governs { injection: "inj".into(), lambda: "lambda".into() }
+        Governs { injection: "inj".into(), lambda: "lambda".into(), boost: None }
     }
 
     /// The injection moves from the inputs to the outputs with its bounds, lambda from the demands to what is given; all that is derived

@@ -99,10 +99,11 @@ impl Asked {
         if !ctx.spec.fuelling.as_ref().is_some_and(|f| f.plant) {
             return Ok(None);
         }
-        let Channels { injection, lambda, .. } = &self.channels;
+        let Channels { injection, lambda, boost, .. } = &self.channels;
         match ctx.spec.loops.iter().find(|l| l.output == *lambda) {
             Some(l) if l.input == *injection => {
-                Ok(Some(Governs { injection: injection.clone(), lambda: lambda.clone() }))
+                let (injection, lambda) = (injection.clone(), lambda.clone());
+                Ok(Some(Governs { injection, lambda, boost: boost.clone() }))
             }
             found => {
                 let found = found.map_or("none".into(), |l| format!("by `{}`", l.input));

@@ -144,8 +144,10 @@ fn on_plant<'a>(
     make: Option<PlantFactory<'a>>,
 ) -> Option<Context<'a>> {
     let (by, spec) = governed?;
-    let (read, watched) = (vec![by.injection.clone()], vec![by.lambda.clone()]);
-    let channels = Channels { read, watched, ..Channels::of(spec) };
+    let plain = Channels::of(spec);
+    // Only what is modelled can be read.
+    let read = by.read().filter(|r| plain.others.contains(r)).cloned().collect();
+    let channels = Channels { read, watched: vec![by.lambda.clone()], ..plain };
     let plants = make.filter(|_| whole.plants.is_some());
     let measured = whole.measured.clone();
     Some(Context { channels, measured, ..context(spec, Path::new(""), plants, whole.watch) })

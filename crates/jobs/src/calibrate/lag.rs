@@ -48,7 +48,8 @@ impl<'a> OnModels<'a> {
         let plain = Self::over(problem, models, vec![demand_steps(spec, problem, dt), points], dt);
         let Some(by) = ctx.governs() else { return plain };
         let governed = problem.demands.iter().position(|d| d.output == by.lambda);
-        let read = models.iter().copied().filter(|m| m.user_output().name == by.injection).collect();
+        let of = |name: &String| models.iter().copied().find(|m| m.user_output().name == *name);
+        let read = by.read().filter_map(of).collect();
         Self { governed, read, ..plain }
     }
 

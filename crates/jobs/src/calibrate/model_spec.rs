@@ -94,10 +94,10 @@ pub(super) fn candidates(
             .collect();
         return Ok(Candidates { tables, derive });
     }
-    // What flows through the engine is read by the models of all else.
-    let read = ctx.channels.read.iter().filter(|r| *r != output);
+    // What flows through the engine is read by the models of all else, and reads the pressure that it flows from.
+    let read = ctx.channels.read_by(output).iter().cloned();
     let inputs: Vec<String> =
-        ctx.channels.plant_inputs().into_iter().chain(read.cloned()).chain(extra.iter().cloned()).collect();
+        ctx.channels.plant_inputs().into_iter().chain(read).chain(extra.iter().cloned()).collect();
     let (lags, terms) = (ctx.spec.identify.lags.max(1), ctx.spec.identify.terms.max(3));
     let mut tables = vec![generated(ctx, (output, Speed::Moves), &inputs, &extra, lags, terms)];
     if invertible {
@@ -249,14 +249,14 @@ pub(super) fn spec_text(
     };
     let inputs = ctx.channels.plant_inputs();
     let target = candidate.model.get("target").and_then(Value::as_str).unwrap_or_default();
-    let role = |n: &String| match ctx.channels.read.contains(n) {
-        true if target != n && target != reciprocal_name(n) => "input",
-        _ => "output",
-    };
+    let outputs = ctx.channels.outputs();
+    let of = outputs.iter().find(|o| target == *o || target == reciprocal_name(o));
+    let read = of.map_or(&[][..], |o| ctx.channels.read_by(o));
+    let role = |n: &String| if read.contains(n) { "input" } else { "output" };
     let channels: Vec<Value> = inputs
         .iter()
         .map(|n| channel(n, "input"))
-        .chain(ctx.channels.outputs().iter().map(|n| channel(n, role(n))))
+        .chain(outputs.iter().map(|n| channel(n, role(n))))
         .collect();
     let derive = derive.iter().map(Value::try_from).collect::<Result<Vec<_>, _>>().map_err(|e| fault(&e))?;
     let mut validate = spec.validate.clone();

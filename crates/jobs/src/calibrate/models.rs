@@ -181,10 +181,10 @@ pub fn with_predecessors(
     // Those that others read come first among the models.
     let mut said: Option<Said> = None;
     for k in 0..models.outputs.len() {
-        if said.is_none() && k > 0 && k == ctx.channels.read.len() {
+        if (1..=ctx.channels.read.len()).contains(&k) {
             let then = Said::of(ctx, &models.outputs[..k], data)?;
             // New models were scored on what the new ones of these say, and shall be on those that go on.
-            if models.outputs[..k].iter().any(|o| o.best().earlier) {
+            if models.outputs[k - 1].best().earlier {
                 rescore(ctx, &mut models.outputs[k..], &then.data())?;
             }
             said = Some(then);
@@ -241,11 +241,14 @@ fn each_output(
     if ctx.channels.read.is_empty() {
         return Ok(ModelsResult { outputs: all(ctx.channels.outputs(), data)? });
     }
-    let (first, then): (Vec<String>, Vec<String>) =
-        ctx.channels.outputs().into_iter().partition(|o| ctx.channels.read.contains(o));
-    let mut outputs = all(first, data)?;
-    let said = Said::of(ctx, &outputs, data)?;
-    outputs.extend(all(then, &said.data())?);
+    let others = ctx.channels.outputs().into_iter().filter(|o| !ctx.channels.read.contains(o)).collect();
+    let mut outputs = Vec::new();
+    let mut said = Said::of(ctx, &outputs, data)?;
+    for output in &ctx.channels.read {
+        outputs.push(job(output, &said.data())?);
+        said = Said::of(ctx, &outputs, data)?;
+    }
+    outputs.extend(all(others, &said.data())?);
     Ok(ModelsResult { outputs })
 }
 

@@ -228,17 +228,16 @@ fn record_of(
         origin: "start rule".into(),
     };
     // What others read rests first.
-    let (mut outputs, others): (Vec<String>, Vec<String>) =
-        ctx.channels.outputs().into_iter().partition(|o| ctx.channels.read.contains(o));
-    outputs.extend(others);
-    for output in outputs {
+    let read = &ctx.channels.read;
+    let others = ctx.channels.outputs().into_iter().filter(|o| !read.contains(o));
+    for output in read.iter().cloned().chain(others) {
         let guess = problem.demands.iter().position(|d| d.output == output).map(|j| demands[j][0]);
         let model = models.iter().find(|m| m.user_output().name == output);
         let at_rest = model.and_then(|m| rest_of(m, &record));
         let value = at_rest.or(guess).unwrap_or(0.0);
         let unit = problem.unit(&output).unwrap_or("-").to_string();
         let rests = channel(&output, &unit, Role::Output, vec![value; n]);
-        if ctx.channels.read.contains(&output) {
+        if read.contains(&output) {
             record.channels.push(rests.clone());
         }
         channels.push(rests);

@@ -107,7 +107,7 @@ fn tasks(o: &Options) -> Vec<Task> {
         let name = format!("5-{}-{seed}", engine.replace(':', "-"));
         Task {
             name: name.clone(),
-            inputs: json!([5, engine, seed, reduced]),
+            inputs: json!([5, engine, seed, reduced, heating::TRIED]),
             run: Box::new(move |around: &Surroundings| {
                 let watch = around.watch;
                 watch.note(&format!("{engine}, seed {seed}, scenario 5: retards from cold"));

@@ -63,7 +63,7 @@ static ENGINES: [Engine; 3] = [
     Engine {
         name: "gtdi_2l",
         spec: include_str!("../../../../examples/gtdi_2l/calibrate.toml"),
-        fuelling: None,
+        fuelling: Some(include_str!("../../../../examples/gtdi_2l/fuelling.toml")),
         keys: "",
         most_bed_s: 1800.0,
     },

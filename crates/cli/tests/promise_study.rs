@@ -1,0 +1,32 @@
+//! `dynocal study promise` at reduced length.
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+#[test]
+fn every_calibration_is_judged_by_what_was_measured() {
+    let tmp = tempfile::tempdir().unwrap();
+    let mut command = Command::cargo_bin("dynocal").unwrap();
+    command.current_dir(tmp.path()).args(["study", "promise", "--quick", "--out", "run", "--json"]);
+    let out = command.output().unwrap();
+    let text = String::from_utf8_lossy(&out.stderr);
+    let summary: Value = serde_json::from_slice(&out.stdout).unwrap_or_else(|e| panic!("{e}: {text}"));
+    let checks = summary["checks"].as_array().unwrap();
+    let of = |id: &str| checks.iter().find(|c| c["id"] == id).unwrap_or_else(|| panic!("{id}: {summary}"));
+    // So short a run has no optimum that may be used, and that is a promise that does not hold.
+    assert_eq!(of("failed")["measured"], 0.0, "{}", of("failed"));
+    assert_eq!(of("thesis-promise")["measured"], 0.0, "{}", of("thesis-promise"));
+    assert!(of("thesis-promise")["note"].as_str().unwrap().ends_with("none usable"));
+    assert_eq!(out.status.code(), Some(1), "{text}");
+    // The bed time is that of the run, gains left out.
+    let run = std::fs::read_to_string(tmp.path().join("run/runs/thesis-1/summary.json")).unwrap();
+    let bed: Value = serde_json::from_str::<Value>(&run).unwrap()["bed"].clone();
+    let part = |key: &str| bed[key].as_f64().unwrap();
+    assert!(
+        (of("thesis-bed-time")["measured"].as_f64().unwrap() - (part("total_s") - part("loops_s"))).abs()
+            < 1e-9
+    );
+    assert!(part("loops_s") > 0.0);
+    let page = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
+    assert!(page.contains("Map may be used") && page.contains("thesis"));
+}
