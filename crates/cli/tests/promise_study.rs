@@ -13,14 +13,24 @@ fn every_calibration_is_judged_by_what_was_measured() {
     let summary: Value = serde_json::from_slice(&out.stdout).unwrap_or_else(|e| panic!("{e}: {text}"));
     let checks = summary["checks"].as_array().unwrap();
     let of = |id: &str| checks.iter().find(|c| c["id"] == id).unwrap_or_else(|| panic!("{id}: {summary}"));
-    // So short a run has no optimum that may be used, and that is a promise that does not hold.
+    // The map of so short a run must not be used, and then nothing can be said of what beats it.
     assert_eq!(of("failed")["measured"], 0.0, "{}", of("failed"));
-    assert_eq!(of("thesis-promise")["measured"], 0.0, "{}", of("thesis-promise"));
-    assert!(of("thesis-promise")["note"].as_str().unwrap().ends_with("none usable"));
+    assert_eq!(
+        (&of("thesis-usable")["measured"], &of("thesis-usable")["holds"]),
+        (&0.0.into(), &false.into())
+    );
+    assert_eq!(
+        (&of("thesis-beaten")["measured"], &of("thesis-beaten")["holds"]),
+        (&Value::Null, &false.into())
+    );
     assert_eq!(out.status.code(), Some(1), "{text}");
-    // The bed time is that of the run, gains left out.
+    // Promise and bed time are those of the run, gains left out.
     let run = std::fs::read_to_string(tmp.path().join("run/runs/thesis-1/summary.json")).unwrap();
-    let bed: Value = serde_json::from_str::<Value>(&run).unwrap()["bed"].clone();
+    let run: Value = serde_json::from_str(&run).unwrap();
+    let (pass, bed) = (&run["passes"][0], &run["bed"]);
+    let gap = 100.0 * (pass["measured_ratio"].as_f64().unwrap() - pass["promised_ratio"].as_f64().unwrap());
+    assert_eq!(of("thesis-promise")["measured"], if gap.abs() <= 1.0 { 1.0 } else { 0.0 });
+    assert!(of("thesis-promise")["note"].as_str().unwrap().ends_with(&format!("{gap:+.2}")), "{gap}");
     let part = |key: &str| bed[key].as_f64().unwrap();
     assert!(
         (of("thesis-bed-time")["measured"].as_f64().unwrap() - (part("total_s") - part("loops_s"))).abs()

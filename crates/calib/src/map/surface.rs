@@ -1,11 +1,11 @@
 //! A smooth surface through points over the two axes of a table.
 //!
 //! ```text
-//! s(x) = sum_k a_k exp(-|x - x_k|^2 / (2 l^2)),      (K + q I) a = y
+//! s(x) = sum_k a_k k(x, x_k),      (K + q I) a = y,      k(x, z) = c + exp(-|x - z|^2 / (2 l^2))
 //! ```
 //!
-//! the mean of a Gaussian process without mean, amplitude one, noise q. Of the lengths l and noises of a grid that pair is taken which
-//! predicts each point best from the others (`y_k - s_k = a_k / ((K + q I)^-1)_kk`).
+//! the mean of a Gaussian process of amplitude one about a level that is as good as unknown (c), noise q. Of the lengths l and noises of
+//! a grid that pair is taken which predicts each point best from the others (`y_k - s_k = a_k / ((K + q I)^-1)_kk`).
 //!
 //! C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning (2006), sections 2.2 and 5.4.2.
 
@@ -14,6 +14,9 @@ use dynocal_numerics::linalg;
 /// Lengths in the scaled axes, whose ranges are 2 wide, and noises over the amplitude.
 const LENGTHS: [f64; 5] = [0.35, 0.5, 0.7, 1.0, 1.4];
 const NOISES: [f64; 5] = [1e-4, 1e-3, 1e-2, 1e-1, 1.0];
+
+/// Variance of the level, over the amplitude.
+const LEVEL: f64 = 100.0;
 
 /// A surface over two scaled axes.
 #[derive(Clone, Debug)]
@@ -25,19 +28,32 @@ pub(super) struct Surface {
 
 fn kernel(a: [f64; 2], b: [f64; 2], length: f64) -> f64 {
     let d2 = (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
-    (-0.5 * d2 / (length * length)).exp()
+    LEVEL + (-0.5 * d2 / (length * length)).exp()
 }
 
 impl Surface {
-    /// Through `y` at `places`, and the sum over the points of `(weight_k (y_k - s_k))^2`, each predicted by the others; none where no
-    /// surface can be had.
-    pub(super) fn through(places: &[[f64; 2]], y: &[f64], weight: &[f64]) -> Option<(Self, f64)> {
+    /// Through `y` at `places`, and the sum over the points of `miss(k, s_k)^2`, s_k what the others say of point k; none where no surface
+    /// can be had.
+    pub(super) fn through(
+        places: &[[f64; 2]],
+        y: &[f64],
+        miss: impl Fn(usize, f64) -> f64,
+    ) -> Option<(Self, f64)> {
         let mut best: Option<(Self, f64)> = None;
+        // Amplitudes and noises are of values of unit size.
+        let level = y.iter().sum::<f64>() / y.len().max(1) as f64;
+        let size = (y.iter().map(|v| (v - level).powi(2)).sum::<f64>() / y.len().max(1) as f64).sqrt();
+        if !(size > 0.0 && size.is_finite()) {
+            return None;
+        }
+        let unit: Vec<f64> = y.iter().map(|v| v / size).collect();
         for length in LENGTHS {
             for noise in NOISES {
-                let Some((weights, missed)) = weighed(places, y, length, noise) else { continue };
-                let left: f64 = missed.iter().zip(weight).map(|(e, w)| (e * w).powi(2)).sum();
+                let Some((mut weights, missed)) = weighed(places, &unit, length, noise) else { continue };
+                let said = missed.iter().zip(y).map(|(e, y)| y - e * size);
+                let left: f64 = said.enumerate().map(|(k, s)| miss(k, s).powi(2)).sum();
                 if left.is_finite() && best.as_ref().is_none_or(|b| left < b.1) {
+                    weights.iter_mut().for_each(|w| *w *= size);
                     best = Some((Self { places: places.to_vec(), weights, length }, left));
                 }
             }
@@ -83,7 +99,7 @@ mod tests {
     fn a_bend_is_found_between_the_points() {
         let bend = |x: [f64; 2]| (2.0 * x[0]).tanh() * (1.0 + 0.5 * x[1]);
         let y: Vec<f64> = grid().iter().map(|x| bend(*x)).collect();
-        let (surface, _) = Surface::through(&grid(), &y, &[1.0; 25]).unwrap();
+        let (surface, _) = Surface::through(&grid(), &y, |k, s| y[k] - s).unwrap();
         for x in [[-0.75, 0.3], [0.25, -0.6], [0.6, 0.8]] {
             assert!((surface.at(x) - bend(x)).abs() < 0.05, "{x:?}: {} {}", surface.at(x), bend(x));
         }

@@ -225,7 +225,7 @@ fn words(model: &Table) -> String {
 /// [`ChainError::Identify`] when it cannot be written as TOML.
 pub(super) fn spec_text(
     ctx: &Context,
-    name: &str,
+    (output, name): (&str, &str),
     candidate: &CandidateSpec,
     derive: &[Derived],
     records: &[(Dataset, PathBuf)],
@@ -248,10 +248,8 @@ pub(super) fn spec_text(
         ]))
     };
     let inputs = ctx.channels.plant_inputs();
-    let target = candidate.model.get("target").and_then(Value::as_str).unwrap_or_default();
     let outputs = ctx.channels.outputs();
-    let of = outputs.iter().find(|o| target == *o || target == reciprocal_name(o));
-    let read = of.map_or(&[][..], |o| ctx.channels.read_by(o));
+    let read = ctx.channels.read_by(output);
     let role = |n: &String| if read.contains(n) { "input" } else { "output" };
     let channels: Vec<Value> = inputs
         .iter()

@@ -184,7 +184,7 @@ pub fn with_predecessors(
         if (1..=ctx.channels.read.len()).contains(&k) {
             let then = Said::of(ctx, &models.outputs[..k], data)?;
             // New models were scored on what the new ones of these say, and shall be on those that go on.
-            if models.outputs[k - 1].best().earlier {
+            if models.outputs[..k].iter().any(|o| o.best().earlier) {
                 rescore(ctx, &mut models.outputs[k..], &then.data())?;
             }
             said = Some(then);
@@ -291,7 +291,7 @@ fn run_candidates(
         .map(|(k, c)| {
             ctx.check_interrupt()?;
             let name = format!("{output}-{}", k + 1);
-            let text = spec_text(ctx, &name, c, &candidates.derive, data.identification, folder)?;
+            let text = spec_text(ctx, (output, &name), c, &candidates.derive, data.identification, folder)?;
             let path = folder.join(format!("{name}.toml"));
             atomic::write(&path, text.as_bytes())?;
             candidate(ctx, &path, &name, &c.what, data)

@@ -131,6 +131,18 @@ enum How {
     Take,
 }
 
+/// How a campaign of engine and fuelling as one plant is made: another number with every change of what its models read, so that steps
+/// of another way are not taken over. All later steps stand on the first one.
+const GOVERNED: usize = 2;
+
+/// Inputs of the first step; the same as ever where a map injects.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Inputs<I> {
+    Plain(I),
+    Governed(I, usize),
+}
+
 /// Keeps what was found; whether there was anything.
 fn kept<T>(found: Option<Done<T>>, place: &mut Option<Done<T>>) -> bool {
     *place = found;
@@ -187,6 +199,10 @@ fn step_excite(
     let files: Vec<&PathBuf> =
         e.identification_files.iter().chain(&e.validation_files).chain(&fuelling).collect();
     let inputs = (e, &ctx.spec.identify.init_samples, digests(&files)?, &ctx.spec.tune, &ctx.spec.fuelling);
+    let inputs = match ctx.spec.fuelling.as_ref().is_some_and(|f| f.plant) {
+        true => Inputs::Governed(inputs, GOVERNED),
+        false => Inputs::Plain(inputs),
+    };
     let done = run_step(ctx, folder, how, "excite", &inputs, |path| excite(ctx, on, path))?;
     for c in [ctx, on] {
         c.close_loops_with(done.as_ref().and_then(|d| d.result.tuned.as_ref()));

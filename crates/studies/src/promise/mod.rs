@@ -29,6 +29,8 @@ pub(super) const STUDY: Study = Study {
 };
 
 const SEEDS: u64 = 10;
+/// How a case is made: another number with every change of the procedure.
+const METHOD: usize = 1;
 
 /// A parameter set with the spec of its calibration.
 struct Engine {
@@ -92,6 +94,8 @@ struct Beside {
     scenario: String,
     integral: f64,
     spike: f64,
+    /// Integral of the error of the leading demand.
+    torque: f64,
     /// The rival that is better in both, where there is one.
     beaten_by: Option<String>,
 }
@@ -122,7 +126,7 @@ fn tasks(o: &Options) -> Vec<Task> {
         let spec = text(engine, reduced);
         Task {
             name: format!("{}-{seed}", engine.name),
-            inputs: json!([engine.name, seed, spec, engine.fuelling]),
+            inputs: json!([METHOD, engine.name, seed, spec, engine.fuelling]),
             run: Box::new(move |around: &Surroundings| {
                 let case = case(engine, seed, &spec, around)?;
                 serde_json::to_value(case).map_err(|e| refused(engine.name, e.to_string()))
@@ -192,18 +196,21 @@ fn filled(out: &mut Case, done: &job::Finished) {
 /// The delivered map beside the best of its rivals in its scenario; none where lambda is no demand.
 fn beside(own: &MapScore, all: &[MapScore]) -> Option<Beside> {
     let mine = own.demand("lambda")?;
-    let rivals: Vec<(&str, &DemandScore)> = all
-        .iter()
-        // The same map with another fuel is no rival.
-        .filter(|s| s.scenario == own.scenario && !s.map.contains(DYNAMIC) && !s.map.starts_with("same map"))
-        .filter_map(|s| Some((s.map.as_str(), s.demand("lambda")?)))
-        .collect();
+    // The same map with another fuel is no rival.
+    let rival = |s: &MapScore| {
+        s.scenario == own.scenario && !s.map.contains(DYNAMIC) && !s.map.starts_with("same map")
+    };
+    let rivals: Vec<(&str, &DemandScore)> =
+        all.iter().filter(|s| rival(s)).filter_map(|s| Some((s.map.as_str(), s.demand("lambda")?))).collect();
     let best = |of: fn(&DemandScore) -> f64| rivals.iter().map(|r| of(r.1)).reduce(f64::min);
+    let leading = |s: &MapScore| s.demands.first().map(|d| d.integral_s);
+    let torque = all.iter().filter(|s| rival(s)).filter_map(leading).reduce(f64::min)?;
     let beaten_by = rivals.iter().find(|(_, d)| d.integral_s < mine.integral_s && d.spike() < mine.spike());
     Some(Beside {
         scenario: own.scenario.clone(),
         integral: mine.integral_s / best(|d| d.integral_s)?,
         spike: mine.spike() / best(DemandScore::spike)?,
+        torque: leading(own)? / torque,
         beaten_by: beaten_by.map(|r| r.0.to_string()),
     })
 }

@@ -1,9 +1,9 @@
 //! Tables moved onto points that were measured at rest.
 //!
-//! First by the static terms ([`anchor`]), then by a surface ([`Surface`]) through what the points say, where points that are left out
-//! confirm it. A throttle that is nearly open moves by tens of degrees for a few Newton metres: terms in degrees that follow it are wrong
-//! everywhere else. So an actuator whose values are positive and differ by a factor is looked at in its logarithm and its reciprocal
-//! too, its misses count as shares of it, and the surface may stand in the place of the table as well as on it.
+//! First by the static terms ([`anchor`]), then by a surface ([`Surface`]) on the tables or in their place, where that predicts points that
+//! are left out much better than the tables do. A throttle that is nearly open moves by tens of degrees for a few Newton metres:
+//! terms in degrees that follow it are wrong everywhere else. So an actuator whose values are positive and differ by a factor is looked at
+//! in its logarithm and its reciprocal too, and what is missed of it counts as a share.
 
 use super::super::structured::StructuredShape;
 use super::super::structured::terms::{self, Scale, Term};
@@ -13,8 +13,11 @@ use super::LeadLagMap;
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::linalg;
 
-/// Share of what the table misses of the points, in squares, that a surface may miss at most of points that it has not seen.
-const LEAVES: f64 = 0.75;
+/// Share of what the table misses of the points, in squares, that a surface may miss at most of points that it has not seen: many are
+/// tried, and the best of them fits scatter by chance.
+const LEAVES: f64 = 0.4;
+/// Fewest points: fewer tell nothing of points that they are not.
+const LEAST: usize = 12;
 /// Factor between values from which on an actuator is looked at in other coordinates.
 const FACTOR: f64 = 2.0;
 
@@ -39,16 +42,14 @@ impl Warp {
         match self {
             Self::Plain => w,
             Self::Log => w.exp(),
-            Self::Reciprocal => 1.0 / w,
-        }
-    }
-
-    /// What an error in the coordinate is as a share of `u`.
-    fn share(self, u: f64) -> f64 {
-        match self {
-            Self::Plain => 1.0 / u,
-            Self::Log => 1.0,
-            Self::Reciprocal => u,
+            // Beyond the widest opening that a reciprocal knows.
+            Self::Reciprocal => {
+                if w > 0.0 {
+                    1.0 / w
+                } else {
+                    f64::INFINITY
+                }
+            }
         }
     }
 }
@@ -57,8 +58,8 @@ impl Warp {
 struct Beyond {
     surface: Surface,
     warp: Warp,
-    /// What the surface is about; none: about the table.
-    about: Option<f64>,
+    /// Whether it stands on the table, in the actuator's own unit; else in its place.
+    on_table: bool,
     /// Values that the table and the points have.
     within: Interval,
 }
@@ -66,34 +67,37 @@ struct Beyond {
 impl Beyond {
     /// The best of coordinates, on the table and in its place; none where it is better to stay. `u` the points, `table` what it has there.
     fn best(places: &[[f64; 2]], u: &[f64], table: &[f64]) -> Option<Self> {
+        if u.len() < LEAST {
+            return None;
+        }
         let within = Interval::spanning(u.iter().chain(table).copied());
-        let ratio = within.lower > 0.0 && within.upper >= FACTOR * within.lower;
-        let warps = if ratio { &[Warp::Plain, Warp::Log, Warp::Reciprocal][..] } else { &[Warp::Plain][..] };
-        let counted =
-            |warp: Warp| -> Vec<f64> { u.iter().map(|u| if ratio { warp.share(*u) } else { 1.0 }).collect() };
-        let plain = counted(Warp::Plain);
-        let stay: f64 = u.iter().zip(table).zip(&plain).map(|((u, t), w)| ((u - t) * w).powi(2)).sum();
+        let points = Interval::spanning(u.iter().copied());
+        let ratio = points.lower > 0.0 && points.upper >= FACTOR * points.lower;
+        // Of all options alike, and of staying.
+        let miss = |k: usize, said: f64| (u[k] - within.clamp(said)) * if ratio { 1.0 / u[k] } else { 1.0 };
+        let stay: f64 = table.iter().enumerate().map(|(k, t)| miss(k, *t).powi(2)).sum();
         let mut best: Option<(f64, Self)> = None;
-        for warp in warps {
-            let mean = u.iter().map(|u| warp.of(*u)).sum::<f64>() / u.len().max(1) as f64;
-            for about in [None, Some(mean)] {
-                let y: Vec<f64> =
-                    u.iter().zip(table).map(|(u, t)| warp.of(*u) - about.unwrap_or(warp.of(*t))).collect();
-                let Some((surface, left)) = Surface::through(places, &y, &counted(*warp)) else { continue };
-                if best.as_ref().is_none_or(|b| left < b.0) {
-                    best = Some((left, Self { surface, warp: *warp, about, within }));
-                }
+        let mut tried = |warp: Warp, on_table: bool| {
+            let base = |k: usize| if on_table { table[k] } else { 0.0 };
+            let y: Vec<f64> = (0..u.len()).map(|k| warp.of(u[k]) - base(k)).collect();
+            let found = Surface::through(places, &y, |k, s| miss(k, warp.back(s + base(k))));
+            if let Some((surface, left)) = found.filter(|f| best.as_ref().is_none_or(|b| f.1 < b.0)) {
+                best = Some((left, Self { surface, warp, on_table, within }));
             }
+        };
+        tried(Warp::Plain, true);
+        tried(Warp::Plain, false);
+        if ratio {
+            tried(Warp::Log, false);
+            tried(Warp::Reciprocal, false);
         }
         best.filter(|b| b.0 < LEAVES * stay).map(|b| b.1)
     }
 
-    /// What is added to the table where it has the value `table`.
+    /// What the table becomes where it has the value `table`.
     fn at(&self, place: [f64; 2], table: f64) -> f64 {
-        let about = self.about.unwrap_or(self.warp.of(table));
-        let moved = self.warp.back(about + self.surface.at(place));
-        // A reciprocal may go through zero where no point is.
-        if moved.is_finite() { self.within.clamp(moved) - table } else { 0.0 }
+        let said = self.warp.back(self.surface.at(place) + if self.on_table { table } else { 0.0 });
+        self.within.clamp(said)
     }
 }
 
@@ -134,8 +138,11 @@ impl LeadLagMap {
         let beyond: Vec<Option<Beyond>> = (0..self.actuators.len()).map(beyond).collect();
         if beyond.iter().any(Option::is_some) {
             let by_terms = map.clone();
+            let mut at_rest = vec![0.0; self.actuators.len()];
             map.move_base(&box_of, |at, c| {
-                beyond[c].as_ref().map_or(0.0, |b| b.at(axes(at), by_terms.steady(at)[c]))
+                // Not as it is held in its port: what is added is added to the table.
+                by_terms.at_rest(at, &by_terms.corners(at), &mut at_rest);
+                beyond[c].as_ref().map_or(0.0, |b| b.at(axes(at), at_rest[c]) - at_rest[c])
             });
         } else if moved.is_none() {
             return None;
@@ -173,21 +180,24 @@ impl LeadLagMap {
 
 #[cfg(test)]
 mod tests {
+    use super::super::super::{ActuatorPort, Port, Ports};
+    use super::super::{ActuatorTables, LagLaw};
     use super::*;
 
-    fn grid() -> Vec<[f64; 2]> {
-        (0..36).map(|k| [f64::from(k / 6) * 0.4 - 1.0, f64::from(k % 6) * 0.4 - 1.0]).collect()
+    fn grid(side: u32) -> Vec<[f64; 2]> {
+        let at = |k: u32| 2.0 * f64::from(k) / f64::from(side - 1) - 1.0;
+        (0..side * side).map(|k| [at(k / side), at(k % side)]).collect()
     }
 
     /// A throttle that opens wide towards the end of the demand: between the points it is found as well where it is nearly shut.
     #[test]
     fn a_throttle_that_opens_wide_is_found_everywhere() {
         let truth = |x: [f64; 2]| 1.0 / (0.06 + 0.01 * x[1] - 0.04 * x[0]);
-        let u: Vec<f64> = grid().iter().map(|x| truth(*x)).collect();
-        let table: Vec<f64> = grid().iter().map(|x| 25.0 + 10.0 * x[0]).collect();
-        let found = Beyond::best(&grid(), &u, &table).unwrap();
+        let u: Vec<f64> = grid(6).iter().map(|x| truth(*x)).collect();
+        let table: Vec<f64> = grid(6).iter().map(|x| 25.0 + 10.0 * x[0]).collect();
+        let found = Beyond::best(&grid(6), &u, &table).unwrap();
         for x in [[-0.9, 0.1], [0.1, -0.5], [0.5, 0.7], [0.9, -0.9]] {
-            let got = 25.0 + 10.0 * x[0] + found.at(x, 25.0 + 10.0 * x[0]);
+            let got = found.at(x, 25.0 + 10.0 * x[0]);
             assert!((got / truth(x) - 1.0).abs() < 0.01, "{x:?}: {got} {}", truth(x));
         }
     }
@@ -196,11 +206,55 @@ mod tests {
     #[test]
     fn scatter_moves_nothing() {
         let mut rng = dynocal_numerics::rng::Rng64::stream(1, 2);
-        let moved = (0..40).filter(|_| {
-            let u: Vec<f64> = (0..36).map(|_| 20.0 + rng.uniform_in(-1.0, 1.0)).collect();
-            Beyond::best(&grid(), &u, &[20.0; 36]).is_some()
-        });
-        assert!(moved.count() <= 2);
-        assert!(Beyond::best(&grid(), &[20.0; 36], &[20.0; 36]).is_none());
+        for (side, scatter) in [(4, 0.1), (5, 0.1), (6, 0.1), (4, 0.5), (5, 0.5), (6, 0.5)] {
+            let places = grid(side);
+            let moved = (0..100).filter(|_| {
+                let u: Vec<f64> =
+                    places.iter().map(|_| 20.0 * rng.uniform_in(-scatter, scatter).exp()).collect();
+                Beyond::best(&places, &u, &vec![20.0; places.len()]).is_some()
+            });
+            let moved = moved.count();
+            assert!(moved <= 5, "{side} {scatter}: {moved}");
+        }
+        assert!(Beyond::best(&grid(6), &[20.0; 36], &[20.0; 36]).is_none());
+        assert!(Beyond::best(&[[0.0, 0.0]], &[20.0], &[10.0]).is_none());
+    }
+
+    /// Where a table stood beyond its port the points are met all the same.
+    #[test]
+    fn a_table_beyond_its_port_comes_back_to_the_points() {
+        let ports = Ports {
+            demands: vec![Port { name: "torque".into(), unit: "Nm".into() }],
+            given: vec![Port { name: "speed".into(), unit: "rpm".into() }],
+            actuators: vec![ActuatorPort { name: "u".into(), unit: "deg".into(), lower: 2.0, upper: 60.0 }],
+        };
+        let axis = |low: f64, high: f64| (0..6).map(|k| low + (high - low) * f64::from(k) / 5.0).collect();
+        let (demand, given): (Vec<f64>, Vec<f64>) = (axis(10.0, 90.0), axis(1000.0, 3000.0));
+        let bent = |t: f64, n: f64| 1.0 / (0.12 - 0.001 * t) + n / 1000.0;
+        let mut map = LeadLagMap {
+            region: vec![Interval::new(10.0, 90.0), Interval::new(1000.0, 3000.0)],
+            others: Vec::new(),
+            loss: vec![0.0],
+            actuators: vec![ActuatorTables {
+                base: vec![-5.0; 36],
+                slopes: Vec::new(),
+                lag_s: vec![0.0; 36],
+                law: LagLaw::NONE,
+            }],
+            ports,
+            demand: demand.clone(),
+            given: given.clone(),
+        };
+        map.actuators[0].base.iter_mut().enumerate().for_each(|(k, b)| *b += 0.01 * k as f64);
+        let points: Vec<SteadyPoint> = demand
+            .iter()
+            .flat_map(|t| given.iter().map(move |n| (*t, *n)))
+            .map(|(t, n)| SteadyPoint { reference: vec![t, n], actuators: vec![bent(t, n)] })
+            .collect();
+        let moved = map.onto(&points).unwrap();
+        for p in &points {
+            let got = moved.steady(&p.reference)[0];
+            assert!((got / p.actuators[0] - 1.0).abs() < 0.02, "{:?}: {got} {}", p.reference, p.actuators[0]);
+        }
     }
 }

@@ -1,5 +1,5 @@
-//! What is possible with the air path of ours: fuel learned by trials on the judged tip-in itself, by the true mixture. No controller: it
-//! says which ratios of mixture and emissions can be had while lambda is held at 1.
+//! What fourteen trials reach with the air path of ours: fuel learned on the judged tip-in itself, by the true mixture. No controller: it
+//! says what mixture and emissions come to where lambda is all but held at 1; it bounds nothing.
 
 use dynocal_calib::fuelling::{FuelPolicy, Learning};
 use rayon::prelude::*;
@@ -12,7 +12,7 @@ use super::control::{Fuel, Setting};
 use super::measures::TipIn;
 
 /// Name of the row.
-pub(super) const POSSIBLE: &str = "possible: learned on the tip-in itself";
+pub(super) const POSSIBLE: &str = "learned on the tip-in itself";
 
 /// Learned fuel in all tip-ins; of the delays that are tried the one with the least integral counts.
 pub(super) fn row(of: &Contest, known: &Known, setting: Setting) -> Result<Row, String> {
@@ -25,13 +25,11 @@ pub(super) fn row(of: &Contest, known: &Known, setting: Setting) -> Result<Row, 
     let found: Vec<(usize, TipIn)> = tries.par_iter().map(one).collect::<Result<_, String>>()?;
     let best = |k: usize| {
         let of_it = found.iter().filter(|f| f.0 == k).map(|f| f.1);
-        of_it.min_by(|a, b| a.integral_s.total_cmp(&b.integral_s)).unwrap_or_default()
+        let least = of_it.min_by(|a, b| a.integral_s.total_cmp(&b.integral_s));
+        least.ok_or_else(|| "no delay was tried".to_string())
     };
-    Ok(Row {
-        name: POSSIBLE.into(),
-        words: format!("{trials} trials"),
-        tips: (0..TIPS.len()).map(best).collect(),
-    })
+    let tips = (0..TIPS.len()).map(best).collect::<Result<_, _>>()?;
+    Ok(Row { name: POSSIBLE.into(), words: format!("{trials} trials"), tips })
 }
 
 /// Begins with the fuel of the policy, and repeats the course with other disturbances each time; judged with those of all.
