@@ -123,6 +123,8 @@ fn no_value_of_a_spec_ends_a_check_without_a_word() {
     let tmp = tempfile::tempdir().unwrap();
     let furnace = example("gas_furnace/gas_furnace.csv.gz");
     std::fs::copy(&furnace, tmp.path().join("gas_furnace.csv.gz")).unwrap();
+    // What the calibration of the boosted engine names.
+    std::fs::copy(example("gtdi_2l/fuelling.toml"), tmp.path().join("fuelling.toml")).unwrap();
     let mut rng = Rng64::new(35);
     let (mut faults, mut refused, mut named) = (Vec::new(), 0, [0; 3]);
     let mut without = Vec::new();

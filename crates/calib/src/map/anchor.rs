@@ -24,6 +24,14 @@ pub(super) fn at_rest(terms: &[Term], demands: usize) -> Vec<usize> {
     (0..terms.len()).filter(|k| rests(&terms[*k])).collect()
 }
 
+/// What moves a map onto points.
+pub(super) struct Moved {
+    /// Coefficients of the terms by actuator; zeros where it is better to stay.
+    pub(super) coefficients: Vec<Vec<f64>>,
+    /// What is missed of each point by actuator, each predicted by the others; by the map as it is where that stays.
+    pub(super) missed: Vec<Vec<f64>>,
+}
+
 /// Coefficients of `terms` for every actuator that move `predicted` onto the points; none where points left out say that it is
 /// better to stay, for every actuator, or there are no more points than terms.
 pub(super) fn correction(
@@ -31,7 +39,7 @@ pub(super) fn correction(
     scales: &[Scale],
     points: &[SteadyPoint],
     predicted: impl Fn(&[f64]) -> Vec<f64>,
-) -> Option<Vec<Vec<f64>>> {
+) -> Option<Moved> {
     let (n, p) = (points.len(), terms.len());
     let actuators = points.first()?.actuators.len();
     if n <= p {
@@ -43,41 +51,48 @@ pub(super) fn correction(
         x.extend_from_slice(&row);
     }
     let at: Vec<Vec<f64>> = points.iter().map(|q| predicted(&q.reference)).collect();
-    let moved: Vec<Option<Vec<f64>>> = (0..actuators)
-        .map(|c| {
-            let y: Vec<f64> = points.iter().zip(&at).map(|(q, u)| q.actuators[c] - u[c]).collect();
-            let stay: f64 = y.iter().map(|v| v * v).sum();
-            let mut best = (stay, None);
-            for power in POWERS.rev() {
-                let ridge = 10f64.powi(power);
-                let sum = left_out(&x, p, &y, ridge);
-                if sum < best.0 {
-                    best = (sum, Some(ridge));
-                }
+    let (mut coefficients, mut missed, mut any) = (Vec::new(), Vec::new(), false);
+    for c in 0..actuators {
+        let y: Vec<f64> = points.iter().zip(&at).map(|(q, u)| q.actuators[c] - u[c]).collect();
+        let mut best = (squares(&y), None);
+        for power in POWERS.rev() {
+            let ridge = 10f64.powi(power);
+            let left = left_out(&x, p, &y, ridge);
+            let sum = squares(&left);
+            if sum < best.0 {
+                best = (sum, Some((ridge, left)));
             }
-            let fit = linalg::least_squares(&x, n, p, &y, best.1? * n as f64).ok()?;
-            fit.x.iter().all(|v| v.is_finite()).then_some(fit.x)
-        })
-        .collect();
-    if moved.iter().all(Option::is_none) {
-        return None;
+        }
+        let fit = best.1.and_then(|(ridge, left)| {
+            let fit = linalg::least_squares(&x, n, p, &y, ridge * n as f64).ok()?;
+            fit.x.iter().all(|v| v.is_finite()).then_some((fit.x, left))
+        });
+        any |= fit.is_some();
+        let (own, left) = fit.unwrap_or_else(|| (vec![0.0; p], y));
+        coefficients.push(own);
+        missed.push(left);
     }
-    Some(moved.into_iter().map(|m| m.unwrap_or_else(|| vec![0.0; p])).collect())
+    any.then_some(Moved { coefficients, missed })
 }
 
-/// Squared errors of all points, each predicted by the others; infinite where they do not determine it.
-fn left_out(x: &[f64], p: usize, y: &[f64], ridge: f64) -> f64 {
+/// Sum of squares; infinite where one is no number.
+fn squares(v: &[f64]) -> f64 {
+    let sum: f64 = v.iter().map(|e| e * e).sum();
+    if sum.is_nan() { f64::INFINITY } else { sum }
+}
+
+/// Errors of all points, each predicted by the others; infinite where they do not determine it.
+fn left_out(x: &[f64], p: usize, y: &[f64], ridge: f64) -> Vec<f64> {
     let n = y.len();
-    let mut sum = 0.0;
-    for k in 0..n {
+    let one = |k: usize| {
         let rows: Vec<f64> = [&x[..k * p], &x[(k + 1) * p..]].concat();
         let rest: Vec<f64> = [&y[..k], &y[k + 1..]].concat();
-        sum += match linalg::least_squares(&rows, n - 1, p, &rest, ridge * (n - 1) as f64) {
-            Ok(fit) => (y[k] - linalg::dot(&x[k * p..(k + 1) * p], &fit.x)).powi(2),
+        match linalg::least_squares(&rows, n - 1, p, &rest, ridge * (n - 1) as f64) {
+            Ok(fit) => y[k] - linalg::dot(&x[k * p..(k + 1) * p], &fit.x),
             Err(_) => f64::INFINITY,
-        };
-    }
-    if sum.is_nan() { f64::INFINITY } else { sum }
+        }
+    };
+    (0..n).map(one).collect()
 }
 
 #[cfg(test)]
@@ -118,7 +133,9 @@ mod tests {
         assert_eq!(terms.len(), 12);
         let miss = |t: f64, n: f64| 0.4 - 0.01 * t + 120.0 / n + 1e-7 * t * t * n;
         let points = points(|t, n, _| vec![miss(t, n), 0.0]);
-        let moved = correction(&terms, &scales, &points, |_| vec![0.0, 0.0]).unwrap();
+        let Moved { coefficients: moved, missed } =
+            correction(&terms, &scales, &points, |_| vec![0.0, 0.0]).unwrap();
+        assert!(missed[0].iter().all(|e| e.abs() < 1e-3) && missed[1].iter().all(|e| *e == 0.0));
         let mut row = Vec::new();
         for (t, n) in [(20.0, 1300.0), (60.0, 2700.0), (44.0, 1800.0)] {
             terms::values(&terms, &scales, |r, _| [t, 1.0, n][r], &mut row);

@@ -407,7 +407,7 @@ impl FeedforwardMap for StructuredMap {
         let terms: Vec<Term> = own.iter().map(|k| self.terms[*k].clone()).collect();
         let moved = anchor::correction(&terms, &self.scales, points, |r| self.steady(r))?;
         let mut map = self.clone();
-        for (c, delta) in map.coefficients.iter_mut().zip(moved) {
+        for (c, delta) in map.coefficients.iter_mut().zip(moved.coefficients) {
             own.iter().zip(delta).for_each(|(k, d)| c[*k] += d);
         }
         Some(StoredMap::new(map))

@@ -5,17 +5,20 @@
 //! terms in degrees that follow it are wrong everywhere else. So an actuator whose values are positive and differ by a factor is looked at
 //! in its logarithm and its reciprocal too, and what is missed of it counts as a share.
 
+use super::super::anchor::{self, Moved};
 use super::super::structured::StructuredShape;
 use super::super::structured::terms::{self, Scale, Term};
 use super::super::surface::Surface;
-use super::super::{FeedforwardMap, SteadyPoint, anchor};
+use super::super::{FeedforwardMap, SteadyPoint};
 use super::LeadLagMap;
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::linalg;
 
 /// Share of what the table misses of the points, in squares, that a surface may miss at most of points that it has not seen: many are
 /// tried, and the best of them fits scatter by chance.
-const LEAVES: f64 = 0.4;
+const LEAVES: f64 = 0.3;
+/// What a table misses in the mean of squares, as a share of a value or of the spread of all, below which there is nothing to be had.
+const NOTHING: f64 = 1e-3;
 /// Fewest points: fewer tell nothing of points that they are not.
 const LEAST: usize = 12;
 /// Factor between values from which on an actuator is looked at in other coordinates.
@@ -65,17 +68,27 @@ struct Beyond {
 }
 
 impl Beyond {
-    /// The best of coordinates, on the table and in its place; none where it is better to stay. `u` the points, `table` what it has there.
-    fn best(places: &[[f64; 2]], u: &[f64], table: &[f64]) -> Option<Self> {
+    /// The best of coordinates in the place of the table and, where it was not fitted to the points, on it; none where it is better to stay.
+    /// `u` the points, `table` what it has there, `stays` what it says of points that it has not seen.
+    fn best(
+        places: &[[f64; 2]],
+        u: &[f64],
+        table: &[f64],
+        (stays, on_table): (&[f64], bool),
+    ) -> Option<Self> {
         if u.len() < LEAST {
             return None;
         }
         let within = Interval::spanning(u.iter().chain(table).copied());
         let points = Interval::spanning(u.iter().copied());
         let ratio = points.lower > 0.0 && points.upper >= FACTOR * points.lower;
+        let spread = (within.upper - within.lower).max(f64::MIN_POSITIVE);
         // Of all options alike, and of staying.
-        let miss = |k: usize, said: f64| (u[k] - within.clamp(said)) * if ratio { 1.0 / u[k] } else { 1.0 };
-        let stay: f64 = table.iter().enumerate().map(|(k, t)| miss(k, *t).powi(2)).sum();
+        let miss = |k: usize, said: f64| (u[k] - within.clamp(said)) / if ratio { u[k] } else { spread };
+        let stay: f64 = stays.iter().enumerate().map(|(k, t)| miss(k, *t).powi(2)).sum();
+        if stay < NOTHING * NOTHING * u.len() as f64 {
+            return None;
+        }
         let mut best: Option<(f64, Self)> = None;
         let mut tried = |warp: Warp, on_table: bool| {
             let base = |k: usize| if on_table { table[k] } else { 0.0 };
@@ -85,7 +98,9 @@ impl Beyond {
                 best = Some((left, Self { surface, warp, on_table, within }));
             }
         };
-        tried(Warp::Plain, true);
+        if on_table {
+            tried(Warp::Plain, true);
+        }
         tried(Warp::Plain, false);
         if ratio {
             tried(Warp::Log, false);
@@ -116,7 +131,7 @@ impl LeadLagMap {
         let box_of: Vec<Interval> = (0..self.region.len()).map(span).collect();
         let mut map = self.clone();
         let moved = self.terms_moved(&scales, points);
-        if let Some((terms, moved)) = &moved {
+        if let Some((terms, Moved { coefficients: moved, .. })) = &moved {
             let mut row = Vec::new();
             map.move_base(&box_of, |at, c| {
                 terms::values(terms, &scales, |r, _| at[r], &mut row);
@@ -130,10 +145,18 @@ impl LeadLagMap {
         };
         let places: Vec<[f64; 2]> = points.iter().map(|p| axes(&p.reference)).collect();
         let tables: Vec<Vec<f64>> = points.iter().map(|p| map.steady(&p.reference)).collect();
+        let fitted =
+            |c: usize| moved.as_ref().is_some_and(|(_, m)| m.coefficients[c].iter().any(|v| *v != 0.0));
         let beyond = |c: usize| {
             let u: Vec<f64> = points.iter().map(|p| p.actuators[c]).collect();
             let table: Vec<f64> = tables.iter().map(|u| u[c]).collect();
-            Beyond::best(&places, &u, &table)
+            // What terms that were fitted to the points miss of them is what they miss of those that they have not seen.
+            let unseen = moved.as_ref().map(|(_, m)| &m.missed[c]).filter(|_| fitted(c));
+            let stays: Vec<f64> = match unseen {
+                Some(missed) => u.iter().zip(missed).map(|(u, e)| u - e).collect(),
+                None => table.clone(),
+            };
+            Beyond::best(&places, &u, &table, (&stays, unseen.is_none()))
         };
         let beyond: Vec<Option<Beyond>> = (0..self.actuators.len()).map(beyond).collect();
         if beyond.iter().any(Option::is_some) {
@@ -151,7 +174,7 @@ impl LeadLagMap {
     }
 
     /// The static terms, and their coefficients for every actuator; none where it is better to stay.
-    fn terms_moved(&self, scales: &[Scale], points: &[SteadyPoint]) -> Option<(Vec<Term>, Vec<Vec<f64>>)> {
+    fn terms_moved(&self, scales: &[Scale], points: &[SteadyPoint]) -> Option<(Vec<Term>, Moved)> {
         let all = terms::terms(&self.ports, scales, &StructuredShape::default());
         let own = anchor::at_rest(&all, self.ports.demands.len());
         let terms: Vec<Term> = own.iter().map(|k| all[*k].clone()).collect();
@@ -195,7 +218,7 @@ mod tests {
         let truth = |x: [f64; 2]| 1.0 / (0.06 + 0.01 * x[1] - 0.04 * x[0]);
         let u: Vec<f64> = grid(6).iter().map(|x| truth(*x)).collect();
         let table: Vec<f64> = grid(6).iter().map(|x| 25.0 + 10.0 * x[0]).collect();
-        let found = Beyond::best(&grid(6), &u, &table).unwrap();
+        let found = Beyond::best(&grid(6), &u, &table, (&table, true)).unwrap();
         for x in [[-0.9, 0.1], [0.1, -0.5], [0.5, 0.7], [0.9, -0.9]] {
             let got = found.at(x, 25.0 + 10.0 * x[0]);
             assert!((got / truth(x) - 1.0).abs() < 0.01, "{x:?}: {got} {}", truth(x));
@@ -211,13 +234,17 @@ mod tests {
             let moved = (0..100).filter(|_| {
                 let u: Vec<f64> =
                     places.iter().map(|_| 20.0 * rng.uniform_in(-scatter, scatter).exp()).collect();
-                Beyond::best(&places, &u, &vec![20.0; places.len()]).is_some()
+                {
+                    let table = vec![20.0; places.len()];
+                    Beyond::best(&places, &u, &table, (&table, true)).is_some()
+                }
             });
             let moved = moved.count();
             assert!(moved <= 5, "{side} {scatter}: {moved}");
         }
-        assert!(Beyond::best(&grid(6), &[20.0; 36], &[20.0; 36]).is_none());
-        assert!(Beyond::best(&[[0.0, 0.0]], &[20.0], &[10.0]).is_none());
+        let flat = [20.0; 36];
+        assert!(Beyond::best(&grid(6), &flat, &flat, (&flat, true)).is_none());
+        assert!(Beyond::best(&[[0.0, 0.0]], &[20.0], &[10.0], (&[10.0], true)).is_none());
     }
 
     /// Where a table stood beyond its port the points are met all the same.
