@@ -90,8 +90,8 @@ struct HeatingCase {
     heated: String,
     seed: u64,
     failed: Option<String>,
-    /// Constant retards as they were tried; no retard, the best constant one, ours, and the best constant one with a lambda of its own, as they are
-    /// judged.
+    /// Constant retards as they were tried; no retard, the best constant one, ours, and a constant one with a constant lambda that is chosen as ours, as
+    /// they are judged.
     tried: Vec<Told>,
     judged: Vec<Told>,
 }
@@ -244,7 +244,7 @@ pub(super) fn counted(results: &[TaskResult]) -> (usize, Vec<String>) {
     (all.len(), all.iter().filter_map(failed).collect())
 }
 
-/// A number of no retard, the best constant one, ours, and the constant one with a lambda of its own.
+/// A number of no retard, the best constant one, ours, and the constant one with a constant lambda that is chosen as ours.
 type Of = fn(&[Told; 4]) -> f64;
 
 /// The checks; none where no case was run.
@@ -322,7 +322,7 @@ pub(super) fn section(report: Report, results: &[TaskResult]) -> Report {
         ("none, ", 0),
         ("best constant, ", 1),
         ("ours, ", 2),
-        ("best constant with a lambda of its own, ", 3),
+        ("constant retard and lambda, chosen as ours, ", 3),
     ];
     let judged = named.iter().filter_map(|(n, k)| first.judged.get(*k).map(|t| (format!("{n}judged: "), *t)));
     let rows = first.tried.iter().map(|t| ("tried: ".to_string(), *t)).chain(judged);
