@@ -38,5 +38,5 @@ fn every_calibration_is_judged_by_what_was_measured() {
     );
     assert!(part("loops_s") > 0.0);
     let page = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
-    assert!(page.contains("Map may be used") && page.contains("thesis"));
+    assert!(page.contains("usable is the map by its own verdict") && page.contains("thesis"));
 }

@@ -13,7 +13,8 @@ const WANTED: f64 = 0.4;
 const SHARE: f64 = 0.9;
 
 const WORDS: &str = "Promise and measurement are means of what is minimised over that of the start record, in the last pass, \
-    whether it may be used or not. Lambda: the delivered map over its best rival, as the sensor of the bed shows it.";
+    whether it may be used or not. Integral and spike are those of lambda's error, the delivered map over its best rival, as the sensor of the bed shows it; usable is the map by its own verdict, which stands in \
+    its report.";
 
 impl Case {
     /// Points by which the last pass missed its promise, whether it may be used or not: that is judged by what was measured, too.
@@ -130,31 +131,30 @@ fn checks(engine: &Engine, of_it: &[&Case]) -> Vec<Check> {
 pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
     let head = vec![
         Column::text("Engine"),
-        Column::number("Seed", "").digits(3),
+        Column::text("Seed"),
         Column::number("Promised", "%").digits(3),
         Column::number("Measured", "%").digits(3),
-        Column::text("Map may be used"),
-        Column::number("Lambda: integral over the best rival's", "").digits(2),
-        Column::number("Spike over the best rival's", "").digits(2),
+        Column::text("Usable"),
+        Column::number("Integral", "").digits(2),
+        Column::number("Spike", "").digits(2),
         Column::number("Bed time", "s").digits(4),
-        Column::text("Verdict"),
+        Column::text("Did not end"),
     ];
     let mut table = Table::new(head).caption("The calibrations; of several scenarios the worst one");
     for c in cases(results) {
         let last = c.passes.last();
         let saved = |ratio: Option<f64>| Cell::from(ratio.map(|r| 100.0 * (r - 1.0)));
         let worst = |of: fn(&super::Beside) -> f64| Cell::from(c.lambda.iter().map(of).reduce(f64::max));
-        let verdict = c.failed.as_deref().unwrap_or(&c.verdict);
         table = table.row(vec![
             c.engine.as_str().into(),
-            (c.seed as f64).into(),
+            c.seed.to_string().into(),
             saved(last.map(|p| p.promised)),
             saved(last.map(|p| p.measured)),
             if c.valid { "yes" } else { "no" }.into(),
             worst(|b| b.integral),
             worst(|b| b.spike),
             c.bed_s.into(),
-            verdict.into(),
+            c.failed.as_deref().unwrap_or("").into(),
         ]);
     }
     report.section(Section::new("Calibrations").text(WORDS).block(table))
