@@ -166,5 +166,6 @@ MEMBERS: dict[str, tuple[str, ...]] = {
         "limits",
         "loops",
         "map",
+        "promise",
     ),
 }
