@@ -167,5 +167,6 @@ MEMBERS: dict[str, tuple[str, ...]] = {
         "loops",
         "map",
         "promise",
+        "records",
     ),
 }

@@ -500,3 +500,57 @@ fn an_error_of_the_injectors_shows_in_the_metered_fuel() {
         assert!((fuel / (1.03 * 1.2e-4 * inj * speed) - 1.0).abs() < 1e-3, "{p}");
     }
 }
+
+/// What the first records leave decides about the next one, levels are chosen beside what was measured, and larger models compete.
+#[test]
+fn the_lack_of_fit_decides_about_the_next_record() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = text(&shortest())
+        .replace("criterion = \"d\"", "criterion = \"auto\"")
+        .replace("[excite]\n", "[excite]\nsignal = \"informative\"\n")
+        .replace("terms = 8", "terms = 8\ndoublings = 1");
+    let spec = written(tmp.path(), &spec);
+    let spec = spec.to_str().unwrap();
+    let run = |out: &str, threads: &str| {
+        let o = dynocal(
+            tmp.path(),
+            &["calibrate", spec, "--until", "design", "--out", out, "--threads", threads],
+        );
+        assert!(o.code < 2, "{}", o.stderr);
+    };
+    run("one", "1");
+    run("two", "2");
+    let summary: serde_json::Value =
+        serde_json::from_str(&text(&tmp.path().join("one/summary.json"))).unwrap();
+    let choice = summary["design"]["choice"].as_array().unwrap();
+    assert_eq!(choice.len(), 3, "{choice:?}");
+    let says =
+        |k: usize, part: &str| assert!(choice[k].as_str().unwrap().contains(part), "{part}: {choice:?}");
+    // No sensor of the ideal bed has noise: whatever is left is structure.
+    says(0, "torque: the model leaves");
+    says(1, "its structure lacks something");
+    says(2, "levels of the record are those that tell most");
+    // Sizes compete for the torque.
+    let first = &summary["models"][0]["candidates"];
+    let sizes: Vec<u64> =
+        first.as_array().unwrap().iter().map(|c| c["parameters"].as_u64().unwrap()).collect();
+    assert!(sizes.iter().max() > sizes.iter().min(), "{sizes:?}");
+    let page = text(&tmp.path().join("one/report.html"));
+    assert!(page.contains("What the first records leave decided about it"));
+    for file in ["summary.json", "report.html", "steps/03-design/design01.csv", "steps/01-excite/ident02.csv"]
+    {
+        assert_eq!(
+            text(&tmp.path().join("one").join(file)),
+            text(&tmp.path().join("two").join(file)),
+            "{file}"
+        );
+    }
+    // Both records and the third one hold other levels of the spark.
+    let column = |file: &str| -> Vec<f64> {
+        let table = dynocal_files::csv_io::read(&tmp.path().join("one").join(file)).unwrap();
+        table.numbers("spark", 0, table.rows()).unwrap().to_vec()
+    };
+    let (a, b) = (column("steps/01-excite/ident01.csv"), column("steps/01-excite/ident02.csv"));
+    let c = column("steps/03-design/design01.csv");
+    assert!(a != b && b != c && a != c);
+}

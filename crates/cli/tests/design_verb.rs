@@ -345,3 +345,28 @@ fn models_and_signals_that_cannot_serve_are_refused_in_words() {
         &["torque: noise variance: found 0, expected a positive number"],
     );
 }
+
+/// A unit is no weight: with efficiencies the design does not depend on how large the noise of one of two models is.
+#[test]
+fn models_count_alike_by_their_efficiencies() {
+    let both = |noise: f64, efficiencies: bool| {
+        let second = "\n[[models]]\nliterature = \"lambda_4_53\"\nnoise_std = 0.2\ncriterion = \"i\"\n";
+        let spec = TORQUE
+            .replace("criterion = \"d\"", &format!("noise_std = {noise:?}\ncriterion = \"i\""))
+            .replace("certificate = false", &format!("efficiencies = {efficiencies}"))
+            .replace("starts = 2, evaluations = 150", "starts = 1, evaluations = 60");
+        let o = design(&(spec + second), &[]);
+        (o.column("design.csv", "fpw"), o.summary())
+    };
+    // A power of two, so that nothing is rounded.
+    let (a, summary) = both(2.0, true);
+    assert_eq!(a, both(8.0, true).0);
+    assert_ne!(both(2.0, false).0, both(8.0, false).0);
+    // Together they are the weighted sum that is minimised, and of a size.
+    let lines = summary["criteria"].as_array().unwrap();
+    let parts: Vec<f64> =
+        lines.iter().map(|c| c["weight"].as_f64().unwrap() * c["value"].as_f64().unwrap()).collect();
+    assert_eq!(parts.len(), 2);
+    assert!(parts.iter().all(|p| 0.01 < *p && *p < 2.0), "{parts:?}");
+    assert!((parts.iter().sum::<f64>() / summary["value"].as_f64().unwrap() - 1.0).abs() < 1e-9);
+}

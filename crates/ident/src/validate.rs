@@ -4,6 +4,7 @@
 pub mod boundary;
 pub mod cross;
 mod departure;
+mod lack;
 mod score;
 pub mod spread;
 pub mod stability;
@@ -13,6 +14,7 @@ pub use crate::correlation::{
     nonlinear_tests, whiteness,
 };
 pub use departure::{BEYOND, Departure, departure};
+pub use lack::{Lack, lack};
 pub use score::{
     Band, Reference, Score, Seen, score, score_form, score_in_band, score_noise_free, score_values,
 };

@@ -47,6 +47,7 @@ fn no_file_of_identify_uses_one_above_it() {
 /// Lowest first.
 const CALIBRATE: &[&str] = &[
     "signals",
+    "levels",
     "spec",
     "channels",
     "check",

@@ -21,6 +21,7 @@ pub mod loops;
 pub mod many;
 mod map;
 mod promise;
+mod records;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -128,6 +129,7 @@ pub static STUDIES: &[Study] = &[
     loops::STUDY,
     map::STUDY,
     promise::STUDY,
+    records::STUDY,
 ];
 
 /// The study of that name.

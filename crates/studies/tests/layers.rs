@@ -26,6 +26,7 @@ const ORDER: &[&str] = &[
     "loops",
     "map",
     "promise",
+    "records",
 ];
 
 #[test]

@@ -1,7 +1,7 @@
 //! Faults of a calibration spec that its types cannot show.
 
 use super::channels;
-use super::spec::CalibrateSpec;
+use super::spec::{AUTO, CalibrateSpec, INFORMATIVE, RICHEST};
 use dynocal_calib::map::structures::{self, MAP_STRUCTURES};
 use dynocal_design::criterion::CRITERIA;
 use dynocal_files::spec::Faults;
@@ -33,9 +33,18 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
             "`files`, and under `maps` a characteristic for an input",
         );
     }
-    if !CRITERIA.iter().any(|m| m.doc.name == s.design.criterion) {
-        let known: Vec<String> = CRITERIA.iter().map(|m| m.doc.name.to_string()).collect();
+    let mut known: Vec<String> = CRITERIA.iter().map(|m| m.doc.name.to_string()).collect();
+    known.push(AUTO.into());
+    if !known.contains(&s.design.criterion) {
         faults.unknown("design.criterion", &s.design.criterion, &known);
+    }
+    for (key, found, known) in [
+        ("design.model", &s.design.model, ["chosen", RICHEST]),
+        ("excite.signal", &s.excite.signal, ["aprbs", INFORMATIVE]),
+    ] {
+        if !known.contains(&found.as_str()) {
+            faults.unknown(key, found, &known.map(str::to_string));
+        }
     }
     const PAIRS: [&str; 3] = ["auto", "measured", "simulated"];
     if !PAIRS.contains(&s.invert.pairs.as_str()) {
@@ -265,6 +274,7 @@ fn counts(s: &CalibrateSpec, faults: &mut Faults) {
     for (key, value, least, most) in [
         ("excite.levels", e.levels, 2, 1000),
         ("identify.terms", s.identify.terms, 1, 1000),
+        ("identify.doublings", s.identify.doublings, 0, 3),
         ("identify.lags", s.identify.lags, 1, 50),
         ("identify.init_samples", s.identify.init_samples, 0, 100_000),
         ("design.max_evaluations", s.design.max_evaluations, 1, 1_000_000),
@@ -303,7 +313,8 @@ fn counts(s: &CalibrateSpec, faults: &mut Faults) {
             }
         }
         let samples = e.record_s / s.sample_time_s * e.identification_records as f64;
-        let terms = s.identify.terms + s.identify.terms / 3 + 30;
+        let most = s.identify.terms << s.identify.doublings.min(3);
+        let terms = most + most / 3 + 30;
         if samples.is_finite() && samples < 5.0 * terms as f64 {
             faults.push(
                 "excite.record_s",

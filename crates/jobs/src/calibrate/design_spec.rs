@@ -26,6 +26,7 @@ pub(super) fn design_text(
     folder: &Path,
     models: &ModelsResult,
     identification: &[(Dataset, PathBuf)],
+    (criterion, richest): (&str, bool),
 ) -> Result<String, ChainError> {
     let (spec, problem, channels) = (&ctx.spec.design, &ctx.spec.problem, &ctx.channels);
     let mut list = Vec::new();
@@ -65,12 +66,13 @@ pub(super) fn design_text(
     let mut model_tables = Vec::new();
     for o in &models.outputs {
         let file = format!("design_{}.json", o.output);
-        json::write_versioned(&folder.join(&file), MODEL_SCHEMA, MODEL_VERSION, &o.best().model)?;
-        let rmse = o.best().scores.iter().filter_map(|s| s.rmse).fold(0.0, f64::max);
+        let one = if richest { o.richest() } else { o.best() };
+        json::write_versioned(&folder.join(&file), MODEL_SCHEMA, MODEL_VERSION, &one.model)?;
+        let rmse = one.scores.iter().filter_map(|s| s.rmse).fold(0.0, f64::max);
         let mut t = table([
             ("file", Value::String(file)),
             ("noise_std", Value::Float(rmse.max(1e-9))),
-            ("criterion", Value::String(spec.criterion.clone())),
+            ("criterion", Value::String(criterion.into())),
         ]);
         if let Some(d) = problem.demands.iter().find(|d| d.output == o.output) {
             let (lower, upper) = inner((d.lower, d.upper), -spec.excess);
@@ -101,17 +103,53 @@ pub(super) fn design_text(
         ("starts", Value::Integer(spec.starts as i64)),
         ("evaluations", Value::Integer(spec.max_evaluations as i64)),
     ]);
+    let objective = objective(folder, &list, identification)?;
     let all = table([
+        ("objective", Value::Table(table([("file", Value::String(objective))]))),
         ("name", Value::String("design01".into())),
         ("length_s", Value::Float(spec.record_s)),
         ("sample_time_s", Value::Float(ctx.spec.sample_time_s)),
         ("rivals", Value::Integer(0)),
         ("certificate", Value::Boolean(false)),
+        // Values of `d` are logarithms, and add up as they are.
+        ("efficiencies", Value::Boolean(criterion != "d")),
         ("channels", Value::Array(list)),
         ("models", Value::Array(model_tables)),
         ("search", Value::Table(search)),
     ]);
     toml::to_string(&all).map_err(|e| ChainError::Design(e.to_string()))
+}
+
+/// What predictions are wanted for: the channels of the records so far, within the limits of the design. Returns the name of the file.
+fn objective(
+    folder: &Path,
+    channels: &[Value],
+    records: &[(Dataset, PathBuf)],
+) -> Result<String, ChainError> {
+    let mut all: Option<Dataset> = None;
+    for (record, _) in records {
+        let mut one = record.clone();
+        one.channels
+            .retain(|c| channels.iter().any(|t| t.get("name").and_then(Value::as_str) == Some(&c.name)));
+        for c in &mut one.channels {
+            let limits = channels.iter().find(|t| t.get("name").and_then(Value::as_str) == Some(&c.name));
+            let limit = |key| limits.and_then(|t| t.get(key)).and_then(Value::as_float);
+            if let Some((lower, upper)) = limit("lower").zip(limit("upper")) {
+                c.values.iter_mut().for_each(|v| *v = v.clamp(lower, upper));
+            }
+        }
+        match &mut all {
+            None => all = Some(Dataset { name: "objective".into(), ..one }),
+            Some(all) => {
+                for (a, c) in all.channels.iter_mut().zip(&one.channels) {
+                    a.values.extend_from_slice(&c.values);
+                }
+            }
+        }
+    }
+    let record = all.ok_or_else(|| ChainError::Design("there is no record of the excitation".into()))?;
+    let saved = super::records::save_records(folder, &[record])?;
+    Ok(saved[0].file.clone())
 }
 
 /// Limits of an output that is not demanded; a side without one lies far beyond what was seen. None where there is no limit, or

@@ -6,14 +6,16 @@
 use super::context::{Context, Tone};
 use super::design_spec::{design_text, predicted};
 use super::error::ChainError;
-use super::excite_step::extra_record;
+use super::excite_step::{extra_record, telling_record};
 use super::given;
-use super::models::{ModelData, ModelsResult, identify_all, with_predecessors};
+use super::models::{ModelData, ModelsResult, errors, identify_all, with_predecessors};
 use super::records::{RecordRef, save_records};
+use super::spec::{AUTO, RICHEST};
 use crate::design::result::{CriterionLine, Designed, SafetyLine};
 use crate::design::{self, Overrides};
 use dynocal_files::atomic;
 use dynocal_ident::data::Dataset;
+use dynocal_ident::validate::lack;
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -36,6 +38,9 @@ pub struct DesignResult {
     pub status: Option<Status>,
     /// Why there is no designed record, in a sentence; empty when there is one.
     pub left_out: String,
+    /// What the models lack, and what record was made of that; empty where the spec names a criterion.
+    #[serde(default)]
+    pub choice: Vec<String>,
     /// Evaluations of criterion and gradient.
     pub evaluations: usize,
     /// Criteria.
@@ -65,6 +70,7 @@ fn nothing(models: &ModelsResult, left_out: &str) -> DesignResult {
     DesignResult {
         status: None,
         left_out: left_out.into(),
+        choice: Vec::new(),
         evaluations: 0,
         criteria: Vec::new(),
         safety: Vec::new(),
@@ -96,13 +102,79 @@ pub fn design(
     if !spec.enabled {
         return Ok(nothing(models, "no design was asked for (`design.enabled = false`)"));
     }
+    if spec.criterion == AUTO {
+        return by_lack(ctx, folder, models, identification, validation);
+    }
     if !ctx.channels.read.is_empty() {
         return Ok(nothing(
             models,
             "a design knows no models that read each other, as those of engine and fuelling as one plant do",
         ));
     }
-    let found = match make(ctx, folder, models, identification)? {
+    by_criterion(ctx, folder, models, identification, validation, (&spec.criterion, spec.model == RICHEST))
+}
+
+/// One-sided quantile of the normal distribution at 99 %.
+const Z: f64 = 2.33;
+
+/// Where structure is missing, levels that cover what a better one would need; where noise is all that is left, the record that tells
+/// the richest model most about the predictions that are wanted.
+///
+/// A model of p parameters and N samples of noise s^2 predicts with a variance of about s^2 p/N where it is asked what it learned from;
+/// what its structure leaves beyond the noise is `lack s^2`, and no record of the same structure takes that away.
+fn by_lack(
+    ctx: &Context,
+    folder: &Path,
+    models: &ModelsResult,
+    identification: &[(Dataset, PathBuf)],
+    validation: &[Dataset],
+) -> Result<DesignResult, ChainError> {
+    let (mut choice, mut missing) = (Vec::new(), !ctx.channels.read.is_empty());
+    for o in &models.outputs {
+        let model = &o.best().model;
+        let mut all = Vec::new();
+        for (record, _) in identification {
+            all.extend(errors(model, record)?);
+        }
+        let runs: Vec<&[f64]> = all.iter().map(Vec::as_slice).collect();
+        let Some(found) = lack(&runs) else { continue };
+        let learned = model.parameters.len() as f64 / found.samples as f64;
+        let biased = found.z > Z && found.lack > learned;
+        missing |= biased;
+        choice.push(format!(
+            "{}: the model leaves {:.3} times the variance of the noise ({:.3} {}) beyond it, where what it has to learn takes {:.3} times: {}",
+            o.output,
+            found.lack,
+            found.noise_std,
+            o.unit,
+            learned,
+            if biased { "its structure lacks something" } else { "only noise is left" }
+        ));
+    }
+    if !missing {
+        choice.push("the record is I-optimal for the richest model over the records so far".into());
+        let found = by_criterion(ctx, folder, models, identification, validation, ("i", true))?;
+        return Ok(DesignResult { choice, ..found });
+    }
+    choice.push("the levels of the record are those that tell most of all terms that a better structure may need, beside the records so far".into());
+    let seen: Vec<Dataset> = identification.iter().map(|(d, _)| d.clone()).collect();
+    let record = telling_record(ctx, folder, "design01", &seen)?;
+    ctx.fraction(0.5);
+    let found = measured(ctx, folder, models, record, None, identification, validation)?;
+    let bed_s = ctx.spec.excite.record_s + ctx.spec.excite.lead_in_s;
+    Ok(DesignResult { choice, bed_s, ..found })
+}
+
+/// A design by a criterion, for the chosen or the richest models.
+fn by_criterion(
+    ctx: &Context,
+    folder: &Path,
+    models: &ModelsResult,
+    identification: &[(Dataset, PathBuf)],
+    validation: &[Dataset],
+    wanted: (&str, bool),
+) -> Result<DesignResult, ChainError> {
+    let found = match make(ctx, folder, models, identification, wanted)? {
         Ok(found) => found,
         Err(reason) => return Ok(nothing(models, &reason)),
     };
@@ -123,9 +195,10 @@ fn make(
     folder: &Path,
     models: &ModelsResult,
     identification: &[(Dataset, PathBuf)],
+    wanted: (&str, bool),
 ) -> Result<Result<(Designed, Dataset), String>, ChainError> {
     let path = folder.join("design.toml");
-    let text = design_text(ctx, folder, models, identification)?;
+    let text = design_text(ctx, folder, models, identification, wanted)?;
     atomic::write(&path, text.as_bytes())?;
     let overrides = Overrides { seed: Some(ctx.spec.seed), out: Some(folder.join("design")) };
     let job = design::read(&path, &overrides).map_err(|e| ChainError::Design(e.to_string()))?;
@@ -197,6 +270,7 @@ fn measured(
     Ok(DesignResult {
         status: designed.as_ref().map(|d| d.status),
         left_out: String::new(),
+        choice: Vec::new(),
         evaluations: designed.as_ref().map_or(0, |d| d.evaluations),
         criteria: designed.as_ref().map_or(Vec::new(), |d| d.criteria.clone()),
         safety: designed.as_ref().map_or(Vec::new(), |d| d.safety.clone()),

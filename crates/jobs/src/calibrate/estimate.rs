@@ -3,7 +3,7 @@
 use dynocal_plant::plants;
 
 use super::job::{Campaign, last_step};
-use super::spec::CalibrateSpec;
+use super::spec::{AUTO, CalibrateSpec};
 use crate::estimate::Estimate;
 
 /// Rough share of the pool of candidates that a generated polynomial is selected from: products of two of the lagged channels.
@@ -22,7 +22,7 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
     let all = identification + samples(d.record_s) + 2.0 * o.passes as f64 * samples(o.record_s);
     let channels = s.problem.inputs.len() + s.problem.given.len() + 1;
     let pool = candidates(channels, s.identify.lags);
-    let terms = (s.identify.terms + s.identify.terms / 3) as f64;
+    let terms = ((s.identify.terms << s.identify.doublings) as f64) * 4.0 / 3.0;
     let outputs = (s.problem.demands.len() + s.problem.other_outputs().len()) as f64;
     let stepped = plants::find(&s.plant.name).is_some_and(|p| p.make.is_some());
     let records = |n: usize, length_s: f64| format!("{n} records of {length_s} s");
@@ -36,6 +36,7 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
     };
     // Models of the rest read that of the injection.
     let one_plant = s.fuelling.as_ref().is_some_and(|f| f.plant);
+    let by_lack = d.enabled && d.criterion == AUTO;
     let gains = if s.loops.iter().all(|l| l.gains.is_some()) { "as given" } else { "found on the plant" };
     let plan = Estimate::new(&campaign.name)
         .line("run folder", campaign.out.display().to_string())
@@ -54,6 +55,7 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
             "design",
             match &d.record {
                 Some(file) => format!("the record `{}`", file.display()),
+                None if by_lack => format!("{}, as the lack of fit asks", records(1, e.record_s)),
                 None if one_plant => "none: no design knows models that read each other".into(),
                 None if d.enabled => format!("{}, criterion {}", records(1, d.record_s), d.criterion),
                 None => "none".into(),

@@ -2,11 +2,13 @@
 
 use super::context::{Context, FuelledFrom, Tone};
 use super::error::ChainError;
+use super::levels::Telling;
 use super::records::{RecordRef, all_measured, save_records};
 use super::signals::{aprbs, sweep};
+use super::spec::INFORMATIVE;
 use super::{fuelled, given, loops};
 use dynocal_calib::gains::Tuned;
-use dynocal_calib::problem::DemandChannel;
+use dynocal_calib::problem::{DemandChannel, GivenChannel};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::plan::Plan;
 use dynocal_numerics::rng::Rng64;
@@ -85,6 +87,7 @@ fn followed(ctx: &Context, plans: &[Plan], records: &[Dataset]) -> Result<Vec<Fo
 mod stream {
     pub(super) const IDENTIFICATION: u64 = 100;
     pub(super) const VALIDATION: u64 = 200;
+    pub(super) const TELLING: u64 = 300;
 }
 
 /// Runs the step: all records, independent of each other and hence in parallel. Fuelling and gains are found on the engine of
@@ -154,37 +157,97 @@ fn record_plan(ctx: &Context, k: usize) -> Result<Plan, ChainError> {
     let spec = &ctx.spec.excite;
     let ident = spec.identification_records;
     if k < ident {
-        // Sweeps of different periods, so that the given channel and the levels do not repeat together.
-        let number = stream::IDENTIFICATION + k as u64;
-        return excitation(ctx, &format!("ident{:02}", k + 1), number, spec.sweep_s + k as f64);
+        return identification_plan(ctx, &format!("ident{:02}", k + 1), k);
     }
     let v = k - ident;
     let (number, sweep_s) = (stream::VALIDATION + v as u64, spec.sweep_s - 1.0 + 1.7 * v as f64);
-    excitation(ctx, &format!("val{:02}", v + 1), number, sweep_s)
+    excitation(ctx, &format!("val{:02}", v + 1), number, sweep_s, None)
+}
+
+/// Identification record `k`, also beyond those of the step.
+fn identification_plan(ctx: &Context, name: &str, k: usize) -> Result<Plan, ChainError> {
+    let informative = ctx.spec.excite.signal == INFORMATIVE;
+    let levels = if informative { chosen_levels(ctx, k + 1)?.pop() } else { None };
+    // Sweeps of different periods, so that the given channel and the levels do not repeat together.
+    let number = stream::IDENTIFICATION + k as u64;
+    excitation(ctx, name, number, ctx.spec.excite.sweep_s + k as f64, levels.as_deref())
+}
+
+/// One more record whose levels tell most beside `records`, whatever recipe these had.
+///
+/// # Errors
+/// [`ChainError`].
+pub fn telling_record(
+    ctx: &Context,
+    folder: &Path,
+    name: &str,
+    records: &[Dataset],
+) -> Result<Dataset, ChainError> {
+    let spec = &ctx.spec.excite;
+    let sweep_s = spec.sweep_s + spec.identification_records as f64;
+    let mut rng = Rng64::stream(ctx.spec.seed, stream::TELLING);
+    let mut telling = telling(ctx, &mut rng);
+    for r in records {
+        known(ctx, r, &mut telling)?;
+    }
+    let levels = telling.record(&shares(ctx, sweep_s)?, &mut rng);
+    fuelled::excited(ctx, folder, &excitation(ctx, name, stream::TELLING, sweep_s, Some(&levels))?)
+}
+
+/// Adds the holds of a measured record.
+fn known(ctx: &Context, record: &Dataset, telling: &mut Telling) -> Result<(), ChainError> {
+    let (problem, channels) = (&ctx.spec.problem, &ctx.channels);
+    let demands = problem.demands.iter().map(|d| (d.output.as_str(), (d.lower, d.upper)));
+    let free =
+        channels.free.iter().map(|&k| &problem.inputs[k]).map(|i| (i.name.as_str(), (i.lower, i.upper)));
+    let given = problem.given.iter().map(|g| (g.name.as_str(), (g.lower, g.upper)));
+    let column = |(name, own): (&str, (f64, f64))| Ok((record.values(name)?, range(ctx, name, own)));
+    let moved = demands.chain(free).map(column).collect::<Result<Vec<_>, ChainError>>()?;
+    let given = given.map(column).collect::<Result<Vec<_>, ChainError>>()?;
+    let at = |of: &[(&[f64], (f64, f64))], t: usize| -> Vec<f64> {
+        of.iter().map(|(v, (lo, hi))| (v[t] - lo) / (hi - lo)).collect()
+    };
+    // The end of each hold of the leading channel, where it has settled.
+    let hold = hold_samples(ctx);
+    for t in (2 * hold - 1..record.len()).step_by(hold) {
+        telling.know(&at(&moved, t), &at(&moved, t - hold), &at(&given, t));
+    }
+    Ok(())
 }
 
 /// One more identification record by the same recipe, of a stream of its own.
 ///
 /// # Errors
 /// [`ChainError`].
-pub fn extra_record(ctx: &Context, folder: &Path, name: &str, number: u64) -> Result<Dataset, ChainError> {
-    let stream = stream::IDENTIFICATION + 50 + number;
-    fuelled::excited(ctx, folder, &excitation(ctx, name, stream, ctx.spec.excite.sweep_s + 0.5)?)
+pub fn extra_record(ctx: &Context, folder: &Path, name: &str, number: usize) -> Result<Dataset, ChainError> {
+    let k = ctx.spec.excite.identification_records + number;
+    fuelled::excited(ctx, folder, &identification_plan(ctx, name, k)?)
 }
 
-/// Levels on every demand and every free input, displaced by equal parts of the hold time; given channels swept.
-fn excitation(ctx: &Context, name: &str, stream: u64, sweep_s: f64) -> Result<Plan, ChainError> {
+/// Levels on every demand and every free input, displaced by equal parts of the hold time; given channels swept. Levels (holds x
+/// channels, on 0 .. 1) are drawn at random where there are none.
+fn excitation(
+    ctx: &Context,
+    name: &str,
+    stream: u64,
+    sweep_s: f64,
+    chosen: Option<&[Vec<f64>]>,
+) -> Result<Plan, ChainError> {
     let (spec, problem, channels) = (&ctx.spec.excite, &ctx.spec.problem, &ctx.channels);
-    let dt = ctx.spec.sample_time_s;
-    let n = (spec.record_s / dt).round() as usize;
+    let (n, dt) = (samples(ctx), ctx.spec.sample_time_s);
     let mut rng = Rng64::stream(ctx.spec.seed, stream);
-    let range = |name: &str, own: (f64, f64)| spec.ranges.get(name).copied().unwrap_or(own);
-    let moved = channels.demands.len() + channels.free.len();
+    let moved = moved(ctx);
     let mut number = 0;
     let mut levels = |name: &str, own: (f64, f64)| {
         let phase_s = number as f64 * spec.hold_s / moved as f64;
         number += 1;
-        aprbs(range(name, own), spec.levels, spec.hold_s, phase_s, n, dt, &mut rng)
+        let (lower, upper) = range(ctx, name, own);
+        let Some(levels) = chosen else {
+            return aprbs((lower, upper), spec.levels, spec.hold_s, phase_s, n, dt, &mut rng);
+        };
+        let (hold, phase) = (hold_samples(ctx), (phase_s / dt).round() as usize);
+        let at = |t: usize| levels[((t + phase) / hold).min(levels.len() - 1)][number - 1];
+        Ok((0..n).map(|t| lower + (upper - lower) * at(t)).collect())
     };
     let demands = problem
         .demands
@@ -204,14 +267,59 @@ fn excitation(ctx: &Context, name: &str, stream: u64, sweep_s: f64) -> Result<Pl
     for (&k, values) in channels.free.iter().zip(free) {
         inputs[k] = values;
     }
-    let given = problem
-        .given
-        .iter()
-        .enumerate()
-        .map(|(k, g)| {
-            let period = sweep_s * (1.0 + 0.37 * k as f64);
-            sweep(range(&g.name, (g.lower, g.upper)), period, spec.dwell_s, n, dt)
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    Ok(ctx.plan(name, inputs, given, demands, Tone::Lead))
+    Ok(ctx.plan(name, inputs, sweeps(ctx, sweep_s)?, demands, Tone::Lead))
+}
+
+/// Range of a channel in the excitation.
+fn range(ctx: &Context, name: &str, own: (f64, f64)) -> (f64, f64) {
+    ctx.spec.excite.ranges.get(name).copied().unwrap_or(own)
+}
+
+fn moved(ctx: &Context) -> usize {
+    ctx.channels.demands.len() + ctx.channels.free.len()
+}
+
+fn samples(ctx: &Context) -> usize {
+    (ctx.spec.excite.record_s / ctx.spec.sample_time_s).round() as usize
+}
+
+fn hold_samples(ctx: &Context) -> usize {
+    (ctx.spec.excite.hold_s / ctx.spec.sample_time_s).round().max(1.0) as usize
+}
+
+/// Given channels from end to end and back, each with a period of its own.
+fn sweeps(ctx: &Context, sweep_s: f64) -> Result<Vec<Vec<f64>>, ChainError> {
+    let (n, dt) = (samples(ctx), ctx.spec.sample_time_s);
+    let one = |(k, g): (usize, &GivenChannel)| {
+        let period = sweep_s * (1.0 + 0.37 * k as f64);
+        Ok(sweep(range(ctx, &g.name, (g.lower, g.upper)), period, ctx.spec.excite.dwell_s, n, dt)?)
+    };
+    ctx.spec.problem.given.iter().enumerate().map(one).collect()
+}
+
+/// The same at each hold (holds x given), on 0 .. 1.
+fn shares(ctx: &Context, sweep_s: f64) -> Result<Vec<Vec<f64>>, ChainError> {
+    let given = sweeps(ctx, sweep_s)?;
+    let ranges: Vec<(f64, f64)> =
+        ctx.spec.problem.given.iter().map(|g| range(ctx, &g.name, (g.lower, g.upper))).collect();
+    let hold = hold_samples(ctx);
+    // What is displaced begins a hold before the end of the record.
+    let at = |h: usize| {
+        let one = |(v, (lo, hi)): (&Vec<f64>, &(f64, f64))| (v[(h * hold).min(v.len() - 1)] - lo) / (hi - lo);
+        given.iter().zip(&ranges).map(one).collect()
+    };
+    Ok((0..=samples(ctx).div_ceil(hold)).map(at).collect())
+}
+
+fn telling(ctx: &Context, rng: &mut Rng64) -> Telling {
+    Telling::new(moved(ctx), ctx.spec.problem.given.len(), ctx.spec.excite.levels, rng)
+}
+
+/// Levels of the identification records before `count`, each aware of the earlier ones.
+fn chosen_levels(ctx: &Context, count: usize) -> Result<Vec<Vec<Vec<f64>>>, ChainError> {
+    let mut rng = Rng64::stream(ctx.spec.seed, stream::TELLING);
+    let mut telling = telling(ctx, &mut rng);
+    (0..count)
+        .map(|k| Ok(telling.record(&shares(ctx, ctx.spec.excite.sweep_s + k as f64)?, &mut rng)))
+        .collect()
 }

@@ -24,6 +24,7 @@ mod given;
 pub mod invert_step;
 pub mod job;
 mod lag;
+mod levels;
 mod loops;
 mod model_spec;
 pub mod models;

@@ -98,16 +98,19 @@ pub(super) fn candidates(
     let read = ctx.channels.read_by(output).iter().cloned();
     let inputs: Vec<String> =
         ctx.channels.plant_inputs().into_iter().chain(read).chain(extra.iter().cloned()).collect();
-    let (lags, terms) = (ctx.spec.identify.lags.max(1), ctx.spec.identify.terms.max(3));
-    let mut tables = vec![generated(ctx, (output, Speed::Moves), &inputs, &extra, lags, terms)];
-    if invertible {
-        // A ratio of two flows is linear in one of them as a reciprocal; its sensor lies behind a transport.
-        let (name, lags) = (reciprocal_name(output), lags + lags.div_ceil(2));
-        tables.push(generated(ctx, (&name, Speed::Moves), &inputs, &extra, lags, terms + terms / 3));
-    }
-    if ctx.channels.read.iter().any(|r| r == output) {
-        // Where others stand on it one that runs away takes them with it.
-        tables.push(generated(ctx, (output, Speed::Stays), &inputs, &extra, lags, terms));
+    let (lags, least) = (ctx.spec.identify.lags.max(1), ctx.spec.identify.terms.max(3));
+    let mut tables = Vec::new();
+    for terms in (0..=ctx.spec.identify.doublings).map(|k| least << k) {
+        tables.push(generated(ctx, (output, Speed::Moves), &inputs, &extra, lags, terms));
+        if invertible {
+            // A ratio of two flows is linear in one of them as a reciprocal; its sensor lies behind a transport.
+            let (name, lags) = (reciprocal_name(output), lags + lags.div_ceil(2));
+            tables.push(generated(ctx, (&name, Speed::Moves), &inputs, &extra, lags, terms + terms / 3));
+        }
+        if ctx.channels.read.iter().any(|r| r == output) {
+            // Where others stand on it one that runs away takes them with it.
+            tables.push(generated(ctx, (output, Speed::Stays), &inputs, &extra, lags, terms));
+        }
     }
     Ok(Candidates { tables, derive })
 }

@@ -13,7 +13,7 @@ use crate::identify::result::Identified;
 use crate::identify::spec::{self, Overrides};
 use dynocal_files::{atomic, json};
 use dynocal_ident::data::Dataset;
-use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
+use dynocal_ident::stored::{Computed, MODEL_SCHEMA, MODEL_VERSION, StoredModel};
 use dynocal_ident::validate::{Kind, Reference, Seen, score_values};
 use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
@@ -95,6 +95,12 @@ impl OutputModels {
     /// The candidate that goes on.
     pub fn best(&self) -> &Candidate {
         &self.candidates[self.chosen]
+    }
+
+    /// The candidate of most parameters that ran through all records and is nowhere unstable; the chosen one where there is none.
+    pub fn richest(&self) -> &Candidate {
+        let sound = |c: &&Candidate| c.unstable_share == 0.0 && c.scores.iter().all(|s| s.rmse.is_some());
+        self.candidates.iter().filter(sound).max_by_key(|c| c.model.parameters.len()).unwrap_or(self.best())
     }
 }
 
@@ -423,6 +429,18 @@ fn free_run_score(
         p95: value(score.error_95),
         r2: value(score.r2),
     })
+}
+
+/// Errors of the free runs of `model` on `record`, measured less modelled, after the initialisation window.
+///
+/// # Errors
+/// [`ChainError`].
+pub(super) fn errors(model: &StoredModel, record: &Dataset) -> Result<Vec<Vec<f64>>, ChainError> {
+    let run = |run: Computed| {
+        let measured = run.measured.unwrap_or_default();
+        measured.iter().zip(&run.y).skip(run.first).map(|(z, y)| z - y).collect()
+    };
+    Ok(model.simulate(record, None)?.into_iter().map(run).collect())
 }
 
 /// Writes the chosen models as files of their own.

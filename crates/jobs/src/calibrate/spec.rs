@@ -126,6 +126,13 @@ pub struct LoopSpec {
     pub trim: Option<PiGains>,
 }
 
+/// The value of `excite.signal` that chooses levels instead of drawing them.
+pub(super) const INFORMATIVE: &str = "informative";
+/// The value of `design.model` that asks for the candidate of most parameters.
+pub(super) const RICHEST: &str = "richest";
+/// The value of `design.criterion` that lets the lack of fit decide.
+pub(super) const AUTO: &str = "auto";
+
 /// The excitation in closed loop (thesis section 7.4.1): levels of an APRBS on every demand and on every input that no loop
 /// drives, displaced against each other, and a triangular sweep of the given channels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -142,9 +149,11 @@ pub struct ExciteSpec {
     pub ranges: BTreeMap<String, Range>,
     /// Values at which inputs that loops drive begin, where the plant's own are not wanted (a real bed has none).
     pub start: BTreeMap<String, f64>,
-    /// Levels of the APRBS.
+    /// How levels are drawn: `aprbs` at random from a few, `informative` so that each tells most.
+    pub signal: String,
+    /// Equidistant levels of each channel.
     pub levels: usize,
-    /// Hold time of the APRBS in s.
+    /// Hold time of the levels in s.
     pub hold_s: f64,
     /// Duration of a sweep of a given channel from end to end, in s.
     pub sweep_s: f64,
@@ -170,6 +179,7 @@ impl Default for ExciteSpec {
             validation_records: 3,
             ranges: BTreeMap::new(),
             start: BTreeMap::new(),
+            signal: "aprbs".into(),
             levels: 5,
             hold_s: 3.0,
             sweep_s: 7.0,
@@ -200,6 +210,8 @@ pub struct IdentifySpec {
     pub files: BTreeMap<String, PathBuf>,
     /// Terms of a generated polynomial; a third more for outputs that are modelled by their reciprocal.
     pub terms: usize,
+    /// How often the terms are doubled for further candidates; the records that choose say what is large enough.
+    pub doublings: usize,
     /// Longest lag of a generated pool in samples; doubled for outputs that are modelled by their reciprocal, whose sensor
     /// lies behind a transport.
     pub lags: usize,
@@ -216,6 +228,7 @@ impl Default for IdentifySpec {
             models: BTreeMap::new(),
             files: BTreeMap::new(),
             terms: 30,
+            doublings: 0,
             lags: 5,
             validate: toml::Table::new(),
         }
@@ -231,8 +244,11 @@ pub struct DesignSpec {
     pub enabled: bool,
     /// A record that was designed and measured elsewhere, instead of a design.
     pub record: Option<PathBuf>,
-    /// Criterion that is minimised (`d`, `i`, ...).
+    /// `auto`: the lack of fit decides between levels that tell most and a record that is I-optimal for the richest models. Else the
+    /// criterion that is minimised (`d`, `i`, ...); those of predictions are about the records of the excitation.
     pub criterion: String,
+    /// For which model: the `chosen` one, or the candidate of most parameters (`richest`) that is nowhere unstable.
+    pub model: String,
     /// Length of the designed record in s.
     pub record_s: f64,
     /// Least time at a value in s.
@@ -254,7 +270,8 @@ impl Default for DesignSpec {
         Self {
             enabled: true,
             record: None,
-            criterion: "d".into(),
+            criterion: AUTO.into(),
+            model: "chosen".into(),
             record_s: 60.0,
             hold_s: 1.5,
             ramp_s: 1.5,

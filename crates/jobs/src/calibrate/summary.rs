@@ -92,6 +92,7 @@ pub(crate) struct CandidateLine<'a> {
 pub(crate) struct Design<'a> {
     pub(crate) status: Option<Status>,
     pub(crate) left_out: &'a str,
+    pub(crate) choice: &'a [String],
     pub(crate) evaluations: usize,
     pub(crate) criteria: &'a [CriterionLine],
     pub(crate) safety: &'a [SafetyLine],
@@ -156,6 +157,7 @@ impl<'a> Summary<'a> {
             design: r.design.as_ref().map(|d| Design {
                 status: d.result.status,
                 left_out: &d.result.left_out,
+                choice: &d.result.choice,
                 evaluations: d.result.evaluations,
                 criteria: &d.result.criteria,
                 safety: &d.result.safety,

@@ -65,6 +65,7 @@ pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     }
     design(r, &mut f);
     models(r, &mut f);
+    f.notes.extend(unread_boost(spec, r));
     if let Some(i) = &r.invert {
         f.notes.extend(i.result.left_out.iter().map(|l| format!("Left out of the map: {l}.")));
     }
@@ -78,6 +79,19 @@ pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     let words = words(spec, r, valid);
     f.faults.extend(f.notes);
     Verdict { valid, words, status: f.status, warnings: f.faults }
+}
+
+/// A pressure before the throttle that has no model cannot be read by the others.
+fn unread_boost(spec: &CalibrateSpec, r: &ChainResult) -> Option<String> {
+    let by = r.excite.as_ref()?.result.fuelled.as_ref()?.governs.as_ref()?;
+    let boost = by.boost.as_ref()?;
+    let modelled =
+        spec.problem.demand_names().into_iter().chain(spec.problem.other_outputs()).any(|o| o == *boost);
+    (!modelled).then(|| {
+        format!(
+            "The models of the air do not know `{boost}`, which the fuelling reads: it has no model, as the problem does not limit it. A limit on it, however far, gives it one."
+        )
+    })
 }
 
 /// Mean distance of the excitation from a demand from which on it is not that of the demand, as a share of its range.

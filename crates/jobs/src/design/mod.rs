@@ -97,6 +97,9 @@ pub struct Job {
     pub rivals: usize,
     /// Whether the upper bound of the information is computed, which takes a while; by default for `d` of one model.
     pub certificate: bool,
+    /// Whether weights are those of efficiencies: each criterion over its value for a random record within the limits (`d` over its
+    /// parameters), so that models in different units count alike.
+    pub efficiencies: bool,
     /// Seed.
     pub seed: u64,
 }
@@ -172,6 +175,7 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         search: search?,
         rivals: t.rivals.unwrap_or(20),
         certificate: t.certificate.unwrap_or(d_of_one_model),
+        efficiencies: t.efficiencies.unwrap_or(false),
         seed: over.seed.or(t.seed).unwrap_or(1),
     })
 }

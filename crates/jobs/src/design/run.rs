@@ -63,12 +63,13 @@ pub fn make(job: &Job, inputs: &Inputs, watch: Watch) -> Result<(Designed, Curve
         seed: job.seed,
         ..DesignOptions::default()
     };
+    let weights = weights(job, inputs, &objective)?;
     let (mut rounds, mut evaluations) = (0, 0);
     let (mut bracket, mut best) = (Bracket::default(), None::<Round>);
     let Round { found, curves, safety, margins } = loop {
         rounds += 1;
         watch.note(&format!("round {rounds}: {} starts of {}", job.search.starts, job.search.name));
-        let problem = problem(job, inputs, &objective, &margins);
+        let problem = problem(job, inputs, &objective, &margins, &weights);
         let found = design(&problem, &options, watch.interrupt, &|_| ())?;
         evaluations += found.evaluations;
         let (curves, safety) = judged(job, inputs, &margins, &problem, &found);
@@ -87,7 +88,7 @@ pub fn make(job: &Job, inputs: &Inputs, watch: Watch) -> Result<(Designed, Curve
         }
     };
     watch.note("comparing with random signals of the same limits");
-    let problem = problem(job, inputs, &objective, &margins);
+    let problem = problem(job, inputs, &objective, &margins, &weights);
     let mut e = Evaluator::new(&problem)?;
     e.value(&found.u);
     let information = judge::information(&problem, &inputs.models, &e);
@@ -156,8 +157,9 @@ fn problem<'a>(
     inputs: &'a Inputs,
     objective: &'a [f64],
     margins: &[Option<MarginUsed>],
+    weights: &[f64],
 ) -> DesignProblem<'a> {
-    let term = |(m, margin): (&'a Loaded, &Option<MarginUsed>)| Term {
+    let term = |((m, margin), weight): ((&'a Loaded, &Option<MarginUsed>), &f64)| Term {
         name: &m.name,
         model: m.model.as_ref(),
         predictor: m.predictor.as_deref(),
@@ -165,7 +167,7 @@ fn problem<'a>(
         noise_variance: m.noise_variance,
         initial_output: m.initial_output,
         criterion: m.criterion.as_ref().map(|c| c.criterion.as_ref()),
-        weight: m.weight,
+        weight: *weight,
         objective_signal: objective,
         reference_scale: &[],
         prior: &m.prior,
@@ -180,8 +182,31 @@ fn problem<'a>(
         n_samples: job.samples,
         convention: job.convention,
         start: 0,
-        terms: inputs.models.iter().zip(margins).map(term).collect(),
+        terms: inputs.models.iter().zip(margins).zip(weights).map(term).collect(),
     }
+}
+
+/// Weights of the criteria: those of the spec, or where efficiencies are asked for these over the criterion of a random record within
+/// the limits, and for `d`, a logarithm, over the number of parameters. A criterion without a value there keeps its own.
+fn weights(job: &Job, inputs: &Inputs, objective: &[f64]) -> Result<Vec<f64>, DesignJobError> {
+    let own: Vec<f64> = inputs.models.iter().map(|m| m.weight).collect();
+    if !job.efficiencies {
+        return Ok(own);
+    }
+    let layout = Layout::new(&inputs.channels, job.samples)?;
+    let random = uniform(&layout, job.seed);
+    let none: Vec<Option<MarginUsed>> = inputs.models.iter().map(|_| None).collect();
+    let all = problem(job, inputs, objective, &none, &own);
+    let one = |(term, m): (&Term, &Loaded)| -> Result<f64, DesignJobError> {
+        let Some(c) = &m.criterion else { return Ok(m.weight) };
+        if !c.criterion.is_positive() {
+            return Ok(m.weight / m.theta.len() as f64);
+        }
+        let alone = DesignProblem { terms: vec![Term { weight: 1.0, limits: None, ..*term }], ..all.clone() };
+        let value = Evaluator::new(&alone)?.value(&random);
+        Ok(if value.is_finite() && value > 0.0 { m.weight / value } else { m.weight })
+    };
+    all.terms.iter().zip(&inputs.models).map(one).collect()
 }
 
 /// The objective signal (N0 x m) and what it is.
@@ -230,7 +255,12 @@ fn criteria(
         let Some(NamedCriterion { name, .. }) = &m.criterion else { continue };
         let one = DesignProblem { terms: vec![Term { weight: 1.0, ..*term }], ..problem.clone() };
         let value = Evaluator::new(&one)?.value(u);
-        out.push(CriterionLine { model: m.name.clone(), criterion: name.clone(), weight: m.weight, value });
+        out.push(CriterionLine {
+            model: m.name.clone(),
+            criterion: name.clone(),
+            weight: term.weight,
+            value,
+        });
     }
     Ok(out)
 }

@@ -22,6 +22,7 @@ pub(super) struct Typed {
     pub(super) seed: Option<u64>,
     pub(super) rivals: Option<usize>,
     pub(super) certificate: Option<bool>,
+    pub(super) efficiencies: Option<bool>,
     pub(super) channels: Option<Vec<TypedChannel>>,
     pub(super) regions: Option<Vec<TypedRegion>>,
     pub(super) models: Option<Vec<TypedModel>>,

@@ -41,6 +41,7 @@ fn tasks(o: &Options) -> Vec<Task> {
         s.invert.structure = "structured".into();
         s.invert.rivals = vec!["published_7_18".into()];
         s.invert.at_rest.enabled = false;
+        s.design.criterion = "d".into();
         s
     });
     let inputs = spec.as_ref().map_or_else(|e| json!(e.to_string()), |s| json!([s, UNSEEN]));

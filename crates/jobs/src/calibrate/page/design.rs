@@ -23,8 +23,15 @@ pub(super) fn section(ctx: &Context, d: &Done<DesignResult>) -> Result<Section, 
             how_it_ended(status),
             r.evaluations
         )),
+        None if !r.choice.is_empty() => section.text("The record has the levels of an excitation, which are chosen and not drawn; it is played as those are."),
         None => section.text("The record was designed and measured elsewhere."),
     };
+    if !r.choice.is_empty() {
+        section = section.text(format!(
+            "What the first records leave decided about it. {}.",
+            capital(&r.choice.join("; "))
+        ));
+    }
     section = section.block(gains(r));
     if !r.criteria.is_empty() {
         section = section.block(criteria(r));
