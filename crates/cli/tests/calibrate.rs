@@ -527,8 +527,8 @@ fn the_lack_of_fit_decides_about_the_next_record() {
     let says =
         |k: usize, part: &str| assert!(choice[k].as_str().unwrap().contains(part), "{part}: {choice:?}");
     // No sensor of the ideal bed has noise: whatever is left is structure.
-    says(0, "torque: the model leaves");
-    says(1, "its structure lacks something");
+    says(0, "torque: what the model leaves changes slowly");
+    says(1, "structure is missing, or a sensor drifts");
     says(2, "levels of the record are those that tell most");
     // Sizes compete for the torque.
     let first = &summary["models"][0]["candidates"];
@@ -544,6 +544,16 @@ fn the_lack_of_fit_decides_about_the_next_record() {
             text(&tmp.path().join("two").join(file)),
             "{file}"
         );
+    }
+    // Levels are chosen, and a further record knows what was measured before it.
+    let drawn = text(&shortest()).replace("criterion = \"d\"", "criterion = \"auto\"");
+    let drawn = written(tmp.path(), &drawn);
+    let o =
+        dynocal(tmp.path(), &["calibrate", drawn.to_str().unwrap(), "--until", "design", "--out", "drawn"]);
+    assert!(o.code < 2, "{}", o.stderr);
+    for file in ["steps/01-excite/ident01.csv", "steps/03-design/design01.csv"] {
+        let record = |out: &str| text(&tmp.path().join(out).join(file));
+        assert_ne!(record("one"), record("drawn"), "{file}");
     }
     // Both records and the third one hold other levels of the spark.
     let column = |file: &str| -> Vec<f64> {

@@ -126,29 +126,22 @@ fn objective(
     channels: &[Value],
     records: &[(Dataset, PathBuf)],
 ) -> Result<String, ChainError> {
-    let mut all: Option<Dataset> = None;
-    for (record, _) in records {
-        let mut one = record.clone();
-        one.channels
-            .retain(|c| channels.iter().any(|t| t.get("name").and_then(Value::as_str) == Some(&c.name)));
-        for c in &mut one.channels {
-            let limits = channels.iter().find(|t| t.get("name").and_then(Value::as_str) == Some(&c.name));
-            let limit = |key| limits.and_then(|t| t.get(key)).and_then(Value::as_float);
-            if let Some((lower, upper)) = limit("lower").zip(limit("upper")) {
-                c.values.iter_mut().for_each(|v| *v = v.clamp(lower, upper));
-            }
+    let Some((first, _)) = records.first() else {
+        return Err(ChainError::Design("there is no record of the excitation".into()));
+    };
+    let mut all = Dataset { name: "objective".into(), channels: Vec::new(), ..first.clone() };
+    for table in channels {
+        let text = |key| table.get(key).and_then(Value::as_str).unwrap_or_default().to_string();
+        let limit = |key, none| table.get(key).and_then(Value::as_float).unwrap_or(none);
+        let (lower, upper) = (limit("lower", f64::NEG_INFINITY), limit("upper", f64::INFINITY));
+        let (name, unit) = (text("name"), text("unit"));
+        let mut values = Vec::new();
+        for (record, _) in records {
+            values.extend(record.values(&name)?.iter().map(|v| v.clamp(lower, upper)));
         }
-        match &mut all {
-            None => all = Some(Dataset { name: "objective".into(), ..one }),
-            Some(all) => {
-                for (a, c) in all.channels.iter_mut().zip(&one.channels) {
-                    a.values.extend_from_slice(&c.values);
-                }
-            }
-        }
+        all.channels.push(Channel { name, unit, role: Role::Input, values });
     }
-    let record = all.ok_or_else(|| ChainError::Design("there is no record of the excitation".into()))?;
-    let saved = super::records::save_records(folder, &[record])?;
+    let saved = super::records::save_records(folder, &[all])?;
     Ok(saved[0].file.clone())
 }
 

@@ -17,6 +17,7 @@ use dynocal_files::atomic;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::validate::lack;
 use dynocal_numerics::status::Status;
+use dynocal_report::{significant, with_unit};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -116,12 +117,15 @@ pub fn design(
 
 /// One-sided quantile of the normal distribution at 99 %.
 const Z: f64 = 2.33;
+/// A ratio beyond which its number says no more.
+const MUCH: f64 = 100.0;
 
-/// Where structure is missing, levels that cover what a better one would need; where noise is all that is left, the record that tells
-/// the richest model most about the predictions that are wanted.
+/// Where errors are not white, levels that tell most of what a better structure would need; where nothing beyond white noise is found,
+/// the record that tells the richest models most about the predictions that are wanted.
 ///
-/// A model of p parameters and N samples of noise s^2 predicts with a variance of about s^2 p/N where it is asked what it learned from;
-/// what its structure leaves beyond the noise is `lack s^2`, and no record of the same structure takes that away.
+/// A model of p parameters and N samples predicts with a variance of about `s^2 p/N` where it is asked what it learned from. What the
+/// test finds, `lack s^2` and more than about `2.33 s^2 / sqrt(N)`, is larger for all models of less than `2.33 sqrt(N)` parameters,
+/// and no record of the same structure takes it away.
 fn by_lack(
     ctx: &Context,
     folder: &Path,
@@ -129,31 +133,25 @@ fn by_lack(
     identification: &[(Dataset, PathBuf)],
     validation: &[Dataset],
 ) -> Result<DesignResult, ChainError> {
-    let (mut choice, mut missing) = (Vec::new(), !ctx.channels.read.is_empty());
+    let (mut choice, mut missing) = (Vec::new(), false);
     for o in &models.outputs {
-        let model = &o.best().model;
         let mut all = Vec::new();
         for (record, _) in identification {
-            all.extend(errors(model, record)?);
+            all.extend(errors(&o.best().model, record)?);
         }
-        let runs: Vec<&[f64]> = all.iter().map(Vec::as_slice).collect();
-        let Some(found) = lack(&runs) else { continue };
-        let learned = model.parameters.len() as f64 / found.samples as f64;
-        let biased = found.z > Z && found.lack > learned;
-        missing |= biased;
-        choice.push(format!(
-            "{}: the model leaves {:.3} times the variance of the noise ({:.3} {}) beyond it, where what it has to learn takes {:.3} times: {}",
-            o.output,
-            found.lack,
-            found.noise_std,
-            o.unit,
-            learned,
-            if biased { "its structure lacks something" } else { "only noise is left" }
-        ));
+        let (text, lacks) = lacking(&o.unit, &all);
+        missing |= lacks;
+        choice.push(format!("{}: {text}", o.output));
+    }
+    if !ctx.channels.read.is_empty() && !missing {
+        missing = true;
+        choice.push("models read each other, and no design knows such models".into());
     }
     if !missing {
-        choice.push("the record is I-optimal for the richest model over the records so far".into());
         let found = by_criterion(ctx, folder, models, identification, validation, ("i", true))?;
+        if !found.records.is_empty() {
+            choice.push("the record is I-optimal for the richest models over the records so far".into());
+        }
         return Ok(DesignResult { choice, ..found });
     }
     choice.push("the levels of the record are those that tell most of all terms that a better structure may need, beside the records so far".into());
@@ -163,6 +161,30 @@ fn by_lack(
     let found = measured(ctx, folder, models, record, None, identification, validation)?;
     let bed_s = ctx.spec.excite.record_s + ctx.spec.excite.lead_in_s;
     Ok(DesignResult { choice, bed_s, ..found })
+}
+
+/// What the errors of a model (one list a run) say of it, and whether something is missing.
+fn lacking(unit: &str, errors: &[Vec<f64>]) -> (String, bool) {
+    if errors.iter().flatten().any(|e| !e.is_finite()) {
+        return ("its free run diverges".into(), true);
+    }
+    let runs: Vec<&[f64]> = errors.iter().map(Vec::as_slice).collect();
+    let Some(found) = lack(&runs) else {
+        return ("too few errors to tell structure from noise".into(), true);
+    };
+    let fast = with_unit(found.noise_std, 3, unit);
+    if found.z <= Z {
+        return (format!("beyond white noise of {fast} nothing was found in what the model leaves"), false);
+    }
+    let much = if found.lack > MUCH {
+        format!("more than {MUCH} times the variance of")
+    } else {
+        format!("{} times the variance of", significant(found.lack, 2))
+    };
+    let text = format!(
+        "what the model leaves changes slowly, {much} its fast part ({fast}): structure is missing, or a sensor drifts or smooths its noise"
+    );
+    (text, true)
 }
 
 /// A design by a criterion, for the chosen or the richest models.
@@ -281,4 +303,24 @@ fn measured(
         bed_s,
         comparison_bed_s,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::lacking;
+    use dynocal_numerics::rng::Rng64;
+
+    #[test]
+    fn what_diverges_or_cannot_be_told_lacks_something() {
+        let mut rng = Rng64::new(2);
+        let white: Vec<f64> = (0..600).map(|_| rng.normal()).collect();
+        let slow: Vec<f64> =
+            white.iter().enumerate().map(|(t, e)| e + 3.0 * (0.02 * t as f64).sin()).collect();
+        let (text, lacks) = lacking("Nm", &[white.clone(), white.clone()]);
+        assert!(!lacks && text.contains("nothing was found") && text.contains("Nm"), "{text}");
+        let (text, lacks) = lacking("Nm", &[white, slow]);
+        assert!(lacks && text.contains("times the variance of its fast part"), "{text}");
+        assert_eq!(lacking("-", &[vec![0.1, f64::NAN]]), ("its free run diverges".into(), true));
+        assert!(lacking("-", &[]).1);
+    }
 }

@@ -19,9 +19,14 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
     let samples = |seconds: f64| (seconds / s.sample_time_s).max(0.0);
     let (e, d, o) = (&s.excite, &s.design, &s.optimise);
     let identification = e.identification_records as f64 * samples(e.record_s);
-    let all = identification + samples(d.record_s) + 2.0 * o.passes as f64 * samples(o.record_s);
+    let by_lack = d.enabled && d.criterion == AUTO;
+    let all = identification
+        + samples(if by_lack { d.record_s.max(e.record_s) } else { d.record_s })
+        + 2.0 * o.passes as f64 * samples(o.record_s);
     let channels = s.problem.inputs.len() + s.problem.given.len() + 1;
     let pool = candidates(channels, s.identify.lags);
+    // Every size is tried.
+    let sizes = (2usize << s.identify.doublings) - 1;
     let terms = ((s.identify.terms << s.identify.doublings) as f64) * 4.0 / 3.0;
     let outputs = (s.problem.demands.len() + s.problem.other_outputs().len()) as f64;
     let stepped = plants::find(&s.plant.name).is_some_and(|p| p.make.is_some());
@@ -36,7 +41,6 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
     };
     // Models of the rest read that of the injection.
     let one_plant = s.fuelling.as_ref().is_some_and(|f| f.plant);
-    let by_lack = d.enabled && d.criterion == AUTO;
     let gains = if s.loops.iter().all(|l| l.gains.is_some()) { "as given" } else { "found on the plant" };
     let plan = Estimate::new(&campaign.name)
         .line("run folder", campaign.out.display().to_string())
@@ -68,7 +72,7 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
     plan.line("optimise", format!("{} passes over {} s", o.passes, o.record_s))
         .line("ends with", last_step(s))
         .memory(8.0 * outputs * all * (2.0 * pool + 3.0 * terms))
-        .work(estimated * identification * 2.0 * pool * terms)
+        .work(estimated * identification * 2.0 * pool * (s.identify.terms * sizes) as f64 * 4.0 / 3.0)
         .work(outputs * evaluations * 4.0 * samples(d.record_s) * terms * terms)
         .work(outputs * iterations * 1e3 * samples(o.record_s))
 }

@@ -87,7 +87,8 @@ fn followed(ctx: &Context, plans: &[Plan], records: &[Dataset]) -> Result<Vec<Fo
 mod stream {
     pub(super) const IDENTIFICATION: u64 = 100;
     pub(super) const VALIDATION: u64 = 200;
-    pub(super) const TELLING: u64 = 300;
+    pub(super) const CHOSEN: u64 = 900_000;
+    pub(super) const FURTHER: u64 = 900_001;
 }
 
 /// Runs the step: all records, independent of each other and hence in parallel. Fuelling and gains are found on the engine of
@@ -108,7 +109,8 @@ pub fn excite(whole: &Context, ctx: &Context, folder: &Path) -> Result<ExciteRes
     }
     let total = spec.identification_records + spec.validation_records;
     let done = AtomicUsize::new(0);
-    let plans = (0..total).map(|k| record_plan(ctx, k)).collect::<Result<Vec<_>, _>>()?;
+    let chosen = chosen_levels(ctx, spec.identification_records)?;
+    let plans = (0..total).map(|k| record_plan(ctx, k, &chosen)).collect::<Result<Vec<_>, _>>()?;
     let records = plans
         .par_iter()
         .map(|plan| {
@@ -152,25 +154,32 @@ fn taken_over(ctx: &Context, folder: &Path, tuned: Option<Tuned>) -> Result<Exci
     })
 }
 
-/// Plan of record `k`: identification records first.
-fn record_plan(ctx: &Context, k: usize) -> Result<Plan, ChainError> {
+/// Plan of record `k`: identification records first, with levels where these are chosen.
+fn record_plan(ctx: &Context, k: usize, chosen: &[Levels]) -> Result<Plan, ChainError> {
     let spec = &ctx.spec.excite;
     let ident = spec.identification_records;
     if k < ident {
-        return identification_plan(ctx, &format!("ident{:02}", k + 1), k);
+        // Sweeps of different periods, so that the given channel and the levels do not repeat together.
+        let number = stream::IDENTIFICATION + k as u64;
+        let levels = chosen.get(k).map(Vec::as_slice);
+        return excitation(ctx, &format!("ident{:02}", k + 1), number, spec.sweep_s + k as f64, levels);
     }
     let v = k - ident;
     let (number, sweep_s) = (stream::VALIDATION + v as u64, spec.sweep_s - 1.0 + 1.7 * v as f64);
     excitation(ctx, &format!("val{:02}", v + 1), number, sweep_s, None)
 }
 
-/// Identification record `k`, also beyond those of the step.
-fn identification_plan(ctx: &Context, name: &str, k: usize) -> Result<Plan, ChainError> {
-    let informative = ctx.spec.excite.signal == INFORMATIVE;
-    let levels = if informative { chosen_levels(ctx, k + 1)?.pop() } else { None };
-    // Sweeps of different periods, so that the given channel and the levels do not repeat together.
-    let number = stream::IDENTIFICATION + k as u64;
-    excitation(ctx, name, number, ctx.spec.excite.sweep_s + k as f64, levels.as_deref())
+/// One more identification record by the same recipe, of a stream of its own.
+///
+/// # Errors
+/// [`ChainError`].
+pub fn extra_record(ctx: &Context, folder: &Path, name: &str, number: u64) -> Result<Dataset, ChainError> {
+    let spec = &ctx.spec.excite;
+    let (stream, sweep_s) = (stream::IDENTIFICATION + 50 + number, spec.sweep_s + 0.5);
+    // Records that were given have holds of their own: what comes next is the first one of this recipe.
+    let before = if spec.identification_files.is_empty() { spec.identification_records } else { 0 };
+    let levels = chosen_levels(ctx, before + 1)?.pop();
+    fuelled::excited(ctx, folder, &excitation(ctx, name, stream, sweep_s, levels.as_deref())?)
 }
 
 /// One more record whose levels tell most beside `records`, whatever recipe these had.
@@ -185,13 +194,13 @@ pub fn telling_record(
 ) -> Result<Dataset, ChainError> {
     let spec = &ctx.spec.excite;
     let sweep_s = spec.sweep_s + spec.identification_records as f64;
-    let mut rng = Rng64::stream(ctx.spec.seed, stream::TELLING);
+    let mut rng = Rng64::stream(ctx.spec.seed, stream::FURTHER);
     let mut telling = telling(ctx, &mut rng);
     for r in records {
         known(ctx, r, &mut telling)?;
     }
     let levels = telling.record(&shares(ctx, sweep_s)?, &mut rng);
-    fuelled::excited(ctx, folder, &excitation(ctx, name, stream::TELLING, sweep_s, Some(&levels))?)
+    fuelled::excited(ctx, folder, &excitation(ctx, name, stream::FURTHER, sweep_s, Some(&levels))?)
 }
 
 /// Adds the holds of a measured record.
@@ -207,21 +216,11 @@ fn known(ctx: &Context, record: &Dataset, telling: &mut Telling) -> Result<(), C
     let at = |of: &[(&[f64], (f64, f64))], t: usize| -> Vec<f64> {
         of.iter().map(|(v, (lo, hi))| (v[t] - lo) / (hi - lo)).collect()
     };
-    // The end of each hold of the leading channel, where it has settled.
     let hold = hold_samples(ctx);
-    for t in (2 * hold - 1..record.len()).step_by(hold) {
-        telling.know(&at(&moved, t), &at(&moved, t - hold), &at(&given, t));
+    for t in (together(ctx, 0)..record.len()).step_by(hold) {
+        telling.know(&at(&moved, t), &at(&moved, t.saturating_sub(hold)), &at(&given, t));
     }
     Ok(())
-}
-
-/// One more identification record by the same recipe, of a stream of its own.
-///
-/// # Errors
-/// [`ChainError`].
-pub fn extra_record(ctx: &Context, folder: &Path, name: &str, number: usize) -> Result<Dataset, ChainError> {
-    let k = ctx.spec.excite.identification_records + number;
-    fuelled::excited(ctx, folder, &identification_plan(ctx, name, k)?)
 }
 
 /// Levels on every demand and every free input, displaced by equal parts of the hold time; given channels swept. Levels (holds x
@@ -239,6 +238,7 @@ fn excitation(
     let moved = moved(ctx);
     let mut number = 0;
     let mut levels = |name: &str, own: (f64, f64)| {
+        // So much earlier each channel switches than the first one.
         let phase_s = number as f64 * spec.hold_s / moved as f64;
         number += 1;
         let (lower, upper) = range(ctx, name, own);
@@ -297,29 +297,43 @@ fn sweeps(ctx: &Context, sweep_s: f64) -> Result<Vec<Vec<f64>>, ChainError> {
     ctx.spec.problem.given.iter().enumerate().map(one).collect()
 }
 
-/// The same at each hold (holds x given), on 0 .. 1.
-fn shares(ctx: &Context, sweep_s: f64) -> Result<Vec<Vec<f64>>, ChainError> {
+/// Levels of a record, holds x channels on 0 .. 1.
+type Levels = Vec<Vec<f64>>;
+
+/// The last sample at which all channels have their level of hold `h`: then the one that is displaced most goes on.
+fn together(ctx: &Context, h: usize) -> usize {
+    let (hold, moved) = (hold_samples(ctx), moved(ctx));
+    h * hold + (hold / moved.max(1)).max(1) - 1
+}
+
+/// Given channels at each hold (holds x given), on 0 .. 1.
+fn shares(ctx: &Context, sweep_s: f64) -> Result<Levels, ChainError> {
     let given = sweeps(ctx, sweep_s)?;
     let ranges: Vec<(f64, f64)> =
         ctx.spec.problem.given.iter().map(|g| range(ctx, &g.name, (g.lower, g.upper))).collect();
-    let hold = hold_samples(ctx);
-    // What is displaced begins a hold before the end of the record.
+    // What is displaced has begun the last hold before the end of the record.
     let at = |h: usize| {
-        let one = |(v, (lo, hi)): (&Vec<f64>, &(f64, f64))| (v[(h * hold).min(v.len() - 1)] - lo) / (hi - lo);
+        let one =
+            |(v, (lo, hi)): (&Vec<f64>, &(f64, f64))| (v[together(ctx, h).min(v.len() - 1)] - lo) / (hi - lo);
         given.iter().zip(&ranges).map(one).collect()
     };
-    Ok((0..=samples(ctx).div_ceil(hold)).map(at).collect())
+    Ok((0..=samples(ctx).div_ceil(hold_samples(ctx))).map(at).collect())
 }
 
 fn telling(ctx: &Context, rng: &mut Rng64) -> Telling {
     Telling::new(moved(ctx), ctx.spec.problem.given.len(), ctx.spec.excite.levels, rng)
 }
 
-/// Levels of the identification records before `count`, each aware of the earlier ones.
-fn chosen_levels(ctx: &Context, count: usize) -> Result<Vec<Vec<Vec<f64>>>, ChainError> {
-    let mut rng = Rng64::stream(ctx.spec.seed, stream::TELLING);
+/// Levels of the identification records before `count`, each aware of the earlier ones; none where they are drawn at random.
+fn chosen_levels(ctx: &Context, count: usize) -> Result<Vec<Levels>, ChainError> {
+    if ctx.spec.excite.signal != INFORMATIVE {
+        return Ok(Vec::new());
+    }
+    let mut rng = Rng64::stream(ctx.spec.seed, stream::CHOSEN);
     let mut telling = telling(ctx, &mut rng);
-    (0..count)
-        .map(|k| Ok(telling.record(&shares(ctx, ctx.spec.excite.sweep_s + k as f64)?, &mut rng)))
-        .collect()
+    let one = |k: usize| {
+        ctx.check_interrupt()?;
+        Ok(telling.record(&shares(ctx, ctx.spec.excite.sweep_s + k as f64)?, &mut rng))
+    };
+    (0..count).map(one).collect()
 }

@@ -9,7 +9,7 @@ mod rivals;
 use super::models::ModelsResult;
 use super::optimise_step::Pass;
 use super::run::ChainResult;
-use super::spec::CalibrateSpec;
+use super::spec::{CalibrateSpec, INFORMATIVE};
 use super::validate_step::{DYNAMIC, NOT_REFINED, ONE_LAG, OWN_FUEL, ValidateResult};
 use dynocal_calib::validate::{MOST_OFFSET, MapScore, spent_input};
 use dynocal_ident::data::UnitAfter;
@@ -63,7 +63,7 @@ pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
         f.notes.extend(static_saves_more(r, &v.result));
         f.notes.extend(beyond_reference(&v.result));
     }
-    design(r, &mut f);
+    design(spec, r, &mut f);
     models(r, &mut f);
     f.notes.extend(unread_boost(spec, r));
     if let Some(i) = &r.invert {
@@ -243,7 +243,7 @@ fn comparison(spec: &CalibrateSpec, v: &ValidateResult, f: &mut Findings) {
     }
 }
 
-fn design(r: &ChainResult, f: &mut Findings) {
+fn design(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
     let Some(d) = r.design.as_ref().map(|d| &d.result) else { return };
     if !d.left_out.is_empty() && !d.left_out.starts_with("no design was asked") {
         f.notes.push(format!(
@@ -269,6 +269,10 @@ fn design(r: &ChainResult, f: &mut Findings) {
                 ));
             }
         }
+    }
+    // Where both have chosen levels they are of one recipe, and which is better says nothing.
+    if !d.choice.is_empty() && spec.excite.signal == INFORMATIVE {
+        return;
     }
     if let (Some(own), Some(other)) = (of("with the designed"), of("with one more")) {
         let worse: Vec<String> = own

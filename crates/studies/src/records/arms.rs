@@ -60,13 +60,8 @@ const fn arm(
     Arm { name, what, records, signal, doublings, design: None }
 }
 
-const fn designed(
-    name: &'static str,
-    what: &'static str,
-    design: (&'static str, &'static str),
-    doublings: i64,
-) -> Arm {
-    Arm { name, what, records: 2, signal: "aprbs", doublings, design: Some(design) }
+const fn designed(name: &'static str, what: &'static str, design: (&'static str, &'static str)) -> Arm {
+    Arm { name, what, records: 2, signal: "aprbs", doublings: 0, design: Some(design) }
 }
 
 pub(super) static ARMS: [Arm; 17] = [
@@ -95,20 +90,14 @@ pub(super) static ARMS: [Arm; 17] = [
         "informative",
         1,
     ),
-    designed("design-d", "two records of random levels, one D-optimal for the models", ("d", "chosen"), 0),
-    designed("design-i", "two records of random levels, one I-optimal for the models", ("i", "chosen"), 0),
+    designed("design-d", "two records of random levels, one D-optimal for the models", ("d", "chosen")),
+    designed("design-i", "two records of random levels, one I-optimal for the models", ("i", "chosen")),
     designed(
         "design-i-richest",
-        "two records of random levels, one I-optimal for the richest models, which compete",
+        "two records of random levels, one I-optimal for the richest models",
         ("i", "richest"),
-        1,
     ),
-    designed(
-        "design-auto",
-        "two records of random levels, one as the lack of fit asks",
-        ("auto", "chosen"),
-        0,
-    ),
+    designed("design-auto", "two records of random levels, one as the lack of fit asks", ("auto", "chosen")),
 ];
 
 impl Arm {
@@ -124,6 +113,11 @@ fn table<'a>(parent: &'a mut Table, name: &str) -> Option<&'a mut Table> {
 }
 
 impl Engine {
+    /// All that its arms run.
+    pub(super) fn texts(&self, reduced: bool) -> Vec<Result<String, String>> {
+        ARMS.iter().filter(|a| a.counts(reduced)).map(|a| self.text(a, reduced, None)).collect()
+    }
+
     /// The spec of an arm; `model` is the fuelling that another arm has identified.
     pub(super) fn text(&self, arm: &Arm, reduced: bool, model: Option<&str>) -> Result<String, String> {
         let mut spec: Table = self.spec.parse().map_err(|e: toml::de::Error| e.to_string())?;
@@ -145,6 +139,9 @@ impl Engine {
         }
         let design = table(&mut spec, "design").ok_or_else(missing)?;
         design.insert("enabled".into(), arm.design.is_some().into());
+        if reduced {
+            design.insert("record_s".into(), 18.0.into());
+        }
         if let Some((criterion, of)) = arm.design {
             design.insert("criterion".into(), criterion.into());
             design.insert("model".into(), of.into());

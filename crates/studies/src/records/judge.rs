@@ -10,8 +10,9 @@ use crate::{Check, TaskResult, check};
 
 const WORDS: &str = "An error is the geometric mean over the outputs of the root mean square error of free runs on records that neither \
     estimated nor chose, and over the seeds. Minutes of random levels are those that records of random levels, fitted by models of one \
-    size, need for the same error, by straight lines between the logarithms of both; beyond their last record there is no number, and the \
-    ratio is at least the one shown. Noise of the sensors is part of every error.";
+    size, need for the same error, by straight lines between the logarithms of both. Beyond their last record its time is shown, and the \
+    ratio is at least that; before their first one it is at most that. The judging records have random levels of the same ranges: that is \
+    what chosen levels and I-optimal records are told to predict, too. Noise of the sensors is part of every error.";
 
 /// Error of random levels over bed time, which falls.
 pub(super) struct Curve {
@@ -39,17 +40,24 @@ impl Curve {
             return Some(first.0.exp());
         }
         for w in self.points.windows(2) {
-            if error > w[1].1 {
-                let share = (w[0].1 - error) / (w[0].1 - w[1].1);
+            if error >= w[1].1 {
+                // On a flat piece the earlier end has it, which the piece before has told.
+                let share = if w[0].1 > w[1].1 { (w[0].1 - error) / (w[0].1 - w[1].1) } else { 0.0 };
                 return Some((w[0].0 + share * (w[1].0 - w[0].0)).exp());
             }
         }
         self.points.last().map(|p| p.0.exp())
     }
 
-    /// Whether no record of random levels was as good.
-    fn ends_before(&self, error: f64) -> bool {
-        self.points.last().is_some_and(|p| error < p.1)
+    /// What its time leaves out, in words.
+    fn beyond(&self, error: f64) -> &'static str {
+        if self.points.last().is_some_and(|p| error < p.1) {
+            "at least: no record of random levels was as good; "
+        } else if self.points.first().is_some_and(|p| error > p.1) {
+            "at most: one record of random levels was better; "
+        } else {
+            ""
+        }
     }
 }
 
@@ -84,12 +92,14 @@ pub(super) fn reduce(results: &[TaskResult]) -> Vec<Check> {
             out.extend(checks(engine, &of_it));
         }
     }
-    let failed: Vec<String> = all
-        .iter()
-        .flat_map(|c| {
-            c.failed.iter().map(move |(arm, why)| format!("{}, seed {}, {arm}: {why}", c.engine, c.seed))
-        })
-        .collect();
+    let mut failed: Vec<String> = Vec::new();
+    for c in &all {
+        let name = format!("{}, seed {}", c.engine, c.seed);
+        failed.extend(c.failed.iter().map(|(arm, why)| format!("{name}, {arm}: {why}")));
+        // What is counted in has to be there.
+        let diverged = c.arms.iter().filter(|a| RANDOM.contains(&a.arm.as_str()) && a.log_error().is_none());
+        failed.extend(diverged.map(|a| format!("{name}, {}: a model diverged", a.arm)));
+    }
     let count = (failed.len() + results.len() - all.len()) as f64;
     out.push(check(
         "failed",
@@ -108,32 +118,58 @@ fn checks(engine: &Engine, all: &[&Case]) -> Vec<Check> {
     let row = |arm: &Arm| {
         let error = mean_error(all, arm.name);
         let minutes = error.and_then(|e| Some(curve.time_s(e)? / mean_bed_s(all, arm.name)?));
-        let more = error.is_some_and(|e| curve.ends_before(e));
+        let beyond = error.map_or("", |e| curve.beyond(e));
+        let (engine_name, what) = (engine.name, engine.what);
+        // What calibrations do where nobody asks for another record is asked to be worth its time.
+        let asked = if arm.name == DEFAULT { Asked::AtLeast(1.0) } else { Asked::Reported };
         check(
-            format!("{}-{}", engine.name, arm.name),
+            format!("{engine_name}-{}", arm.name),
             format!(
-                "{}: {}: bed time that random levels need for the same error, over its own",
-                engine.what, arm.what
+                "{what}: {}: bed time that random levels need for the same error, over its own",
+                arm.what
             ),
-            asked(arm),
+            asked,
             minutes,
             "-",
-            format!(
-                "{}{}",
-                if more { "at least, no record of random levels was as good; " } else { "" },
-                beside(all, arm)
-            ),
+            format!("{beyond}{}{}", beside(all, arm), branches(all, arm)),
         )
     };
-    ARMS.iter().filter(compared).map(row).collect()
+    let mut out: Vec<Check> = ARMS.iter().filter(compared).map(row).collect();
+    if let Some(p) = paired(all, DEFAULT, "design-d") {
+        let (low, high) = (p.low.exp(), p.high.exp());
+        out.push(check(
+            format!("{}-auto-over-d", engine.name),
+            format!(
+                "{}: error of a record as the lack of fit asks over that of a D-optimal one, upper end of the 95 % interval",
+                engine.what
+            ),
+            Asked::AtMost(1.0),
+            Some(high),
+            "-",
+            format!("mean {:.3}, {low:.3} to {high:.3}", p.mean.exp()),
+        ));
+    }
+    out
 }
 
-/// What is delivered to users as better has to be; designs by a criterion are reported.
-fn asked(arm: &Arm) -> Asked {
-    match arm.design {
-        Some((criterion, _)) if criterion != "auto" => Asked::Reported,
-        _ => Asked::AtLeast(1.0),
+/// What a calibration does by default.
+const DEFAULT: &str = "design-auto";
+
+/// Logarithms of the errors of two arms, seed by seed.
+fn paired(all: &[&Case], a: &str, b: &str) -> Option<Paired> {
+    let of = |name: &str| -> Option<Vec<f64>> { all.iter().map(|c| c.arm(name)?.log_error()).collect() };
+    Paired::of(&of(a)?, &of(b)?)
+}
+
+/// How often the lack of fit asked for what.
+fn branches(all: &[&Case], arm: &Arm) -> String {
+    if arm.name != DEFAULT {
+        return String::new();
     }
+    let levels = |c: &&&Case| {
+        c.arm(arm.name).is_some_and(|a| a.choice.iter().any(|t| t.contains("levels of the record")))
+    };
+    format!("; it asked for chosen levels in {} of {}", all.iter().filter(levels).count(), all.len())
 }
 
 /// Error over that of as many records of random levels, seed by seed.
@@ -143,7 +179,7 @@ fn beside(all: &[&Case], arm: &Arm) -> String {
         return "a model diverged, or an arm did not end".into();
     };
     let each: Vec<String> = own.iter().zip(&random).map(|(a, b)| format!("{:.3}", (a - b).exp())).collect();
-    let interval = Paired::of(&own, &random).map_or(String::new(), |p| {
+    let interval = paired(all, arm.name, rival(arm)).map_or(String::new(), |p| {
         format!("{:.3} ({:.3} to {:.3}, 95 %); ", p.mean.exp(), p.low.exp(), p.high.exp())
     });
     format!("error over that of as many random records: {interval}each: {}", each.join(", "))
@@ -159,7 +195,7 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
         }
     }
     for case in &all {
-        let choice = case.arm("design-auto").map_or(&[][..], |a| &a.choice);
+        let choice = case.arm(DEFAULT).map_or(&[][..], |a| &a.choice);
         if case.seed == all.iter().filter(|c| c.engine == case.engine).map(|c| c.seed).min().unwrap_or(0)
             && !choice.is_empty()
         {
@@ -215,8 +251,13 @@ mod tests {
             assert!((found / t - 1.0).abs() < 1e-9, "{t}: {found}");
         }
         assert_eq!(curve.time_s(1.0).map(f64::round), Some(60.0));
-        assert!(curve.ends_before(-0.5 * 300f64.ln()) && !curve.ends_before(-0.5 * 200f64.ln()));
+        assert!(curve.beyond(-0.5 * 300f64.ln()).starts_with("at least"));
+        assert!(curve.beyond(-0.5 * 200f64.ln()).is_empty() && curve.beyond(1.0).starts_with("at most"));
         assert!((curve.time_s(-9.0).unwrap() - 240.0).abs() < 1e-9);
         assert_eq!(Curve { points: vec![] }.time_s(0.0), None);
+        // A flat piece is worth its beginning.
+        let flat = Curve { points: vec![(0.0, 1.0), (1.0, 0.5), (2.0, 0.5), (3.0, 0.2)] };
+        assert!((flat.time_s(0.5).unwrap().ln() - 1.0).abs() < 1e-12);
+        assert!(flat.time_s(0.499).unwrap().ln() > 2.0);
     }
 }

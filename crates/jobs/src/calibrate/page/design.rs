@@ -19,7 +19,8 @@ pub(super) fn section(ctx: &Context, d: &Done<DesignResult>) -> Result<Section, 
     }
     section = match r.status {
         Some(status) => section.text(format!(
-            "The record is designed by `dynocal design` (spec: steps/03-design/design.toml) to tell most about the parameters of the identified models within the limits; the search {} after {} evaluations. It is played with trimming loops about the predicted outputs.",
+            "The record is designed by `dynocal design` (spec: steps/03-design/design.toml), {}-optimal for the identified models within the limits; the search {} after {} evaluations. It is played with trimming loops about the predicted outputs.",
+            r.criteria.first().map_or(String::new(), |c| c.criterion.to_uppercase()),
             how_it_ended(status),
             r.evaluations
         )),
