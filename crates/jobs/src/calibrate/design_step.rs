@@ -17,7 +17,7 @@ use dynocal_files::atomic;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::validate::lack;
 use dynocal_numerics::status::Status;
-use dynocal_report::{significant, with_unit};
+use dynocal_report::significant;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -172,7 +172,8 @@ fn lacking(unit: &str, errors: &[Vec<f64>]) -> (String, bool) {
     let Some(found) = lack(&runs) else {
         return ("too few errors to tell structure from noise".into(), true);
     };
-    let fast = with_unit(found.noise_std, 3, unit);
+    let unit = if unit == "-" { String::new() } else { format!(" {unit}") };
+    let fast = format!("{}{unit}", significant(found.noise_std, 2));
     if found.z <= Z {
         return (format!("beyond white noise of {fast} nothing was found in what the model leaves"), false);
     }

@@ -176,7 +176,7 @@ fn branches(all: &[&Case], arm: &Arm) -> String {
 fn beside(all: &[&Case], arm: &Arm) -> String {
     let of = |name: &str| -> Option<Vec<f64>> { all.iter().map(|c| c.arm(name)?.log_error()).collect() };
     let (Some(own), Some(random)) = (of(arm.name), of(rival(arm))) else {
-        return "a model diverged, or an arm did not end".into();
+        return "there is no pair: a model diverged, or an arm did not end or was not run".into();
     };
     let each: Vec<String> = own.iter().zip(&random).map(|(a, b)| format!("{:.3}", (a - b).exp())).collect();
     let interval = paired(all, arm.name, rival(arm)).map_or(String::new(), |p| {
