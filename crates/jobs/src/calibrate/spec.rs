@@ -270,7 +270,7 @@ impl Default for DesignSpec {
         Self {
             enabled: true,
             record: None,
-            criterion: AUTO.into(),
+            criterion: "d".into(),
             model: "chosen".into(),
             record_s: 60.0,
             hold_s: 1.5,

@@ -120,8 +120,8 @@ fn checks(engine: &Engine, all: &[&Case]) -> Vec<Check> {
         let minutes = error.and_then(|e| Some(curve.time_s(e)? / mean_bed_s(all, arm.name)?));
         let beyond = error.map_or("", |e| curve.beyond(e));
         let (engine_name, what) = (engine.name, engine.what);
-        // What calibrations do where nobody asks for another record is asked to be worth its time.
-        let asked = if arm.name == DEFAULT { Asked::AtLeast(1.0) } else { Asked::Reported };
+        // What a calibration does where it is to decide for itself is asked to be worth its time.
+        let asked = if arm.name == DECIDED { Asked::AtLeast(1.0) } else { Asked::Reported };
         check(
             format!("{engine_name}-{}", arm.name),
             format!(
@@ -135,7 +135,7 @@ fn checks(engine: &Engine, all: &[&Case]) -> Vec<Check> {
         )
     };
     let mut out: Vec<Check> = ARMS.iter().filter(compared).map(row).collect();
-    if let Some(p) = paired(all, DEFAULT, "design-d") {
+    if let Some(p) = paired(all, DECIDED, "design-d") {
         let (low, high) = (p.low.exp(), p.high.exp());
         out.push(check(
             format!("{}-auto-over-d", engine.name),
@@ -152,8 +152,8 @@ fn checks(engine: &Engine, all: &[&Case]) -> Vec<Check> {
     out
 }
 
-/// What a calibration does by default.
-const DEFAULT: &str = "design-auto";
+/// What a calibration does where it decides.
+const DECIDED: &str = "design-auto";
 
 /// Logarithms of the errors of two arms, seed by seed.
 fn paired(all: &[&Case], a: &str, b: &str) -> Option<Paired> {
@@ -163,7 +163,7 @@ fn paired(all: &[&Case], a: &str, b: &str) -> Option<Paired> {
 
 /// How often the lack of fit asked for what.
 fn branches(all: &[&Case], arm: &Arm) -> String {
-    if arm.name != DEFAULT {
+    if arm.name != DECIDED {
         return String::new();
     }
     let levels = |c: &&&Case| {
@@ -195,7 +195,7 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
         }
     }
     for case in &all {
-        let choice = case.arm(DEFAULT).map_or(&[][..], |a| &a.choice);
+        let choice = case.arm(DECIDED).map_or(&[][..], |a| &a.choice);
         if case.seed == all.iter().filter(|c| c.engine == case.engine).map(|c| c.seed).min().unwrap_or(0)
             && !choice.is_empty()
         {
