@@ -219,7 +219,7 @@ fn table(engine: &Engine, all: &[&Case]) -> Table {
     head.extend(outputs.iter().map(|o| Column::number(format!("Error of {o}"), "").digits(3)));
     head.push(Column::number("Minutes of random levels", "min").digits(3));
     let curve = Curve::of(all);
-    let mut table = Table::new(head).caption(&format!("{}: {} seeds", engine.what, all.len()));
+    let mut table = Table::new(head).caption(format!("{}: {} seeds", engine.what, all.len()));
     for arm in ARMS.iter().filter(|a| all.iter().any(|c| c.arm(a.name).is_some())) {
         let output = |o: &String| {
             let logs: Option<Vec<f64>> = all
