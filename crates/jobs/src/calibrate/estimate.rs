@@ -27,7 +27,8 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
     let pool = candidates(channels, s.identify.lags);
     // Every size is tried.
     let sizes = (2usize << s.identify.doublings) - 1;
-    let terms = ((s.identify.terms << s.identify.doublings) as f64) * 4.0 / 3.0;
+    let most = s.identify.terms << s.identify.doublings;
+    let terms = (most + most / 3) as f64;
     let outputs = (s.problem.demands.len() + s.problem.other_outputs().len()) as f64;
     let stepped = plants::find(&s.plant.name).is_some_and(|p| p.make.is_some());
     let records = |n: usize, length_s: f64| format!("{n} records of {length_s} s");
