@@ -6,6 +6,7 @@ use super::models::ModelsResult;
 use crate::design::result::Curves;
 use dynocal_calib::problem::DemandChannel;
 use dynocal_calib::validate::inner;
+use dynocal_design::criterion;
 use dynocal_files::json;
 use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
@@ -26,7 +27,7 @@ pub(super) fn design_text(
     folder: &Path,
     models: &ModelsResult,
     identification: &[(Dataset, PathBuf)],
-    (criterion, richest): (&str, bool),
+    (wanted, richest): (&str, bool),
 ) -> Result<String, ChainError> {
     let (spec, problem, channels) = (&ctx.spec.design, &ctx.spec.problem, &ctx.channels);
     let mut list = Vec::new();
@@ -72,7 +73,7 @@ pub(super) fn design_text(
         let mut t = table([
             ("file", Value::String(file)),
             ("noise_std", Value::Float(rmse.max(1e-9))),
-            ("criterion", Value::String(criterion.into())),
+            ("criterion", Value::String(wanted.into())),
         ]);
         if let Some(d) = problem.demands.iter().find(|d| d.output == o.output) {
             let (lower, upper) = inner((d.lower, d.upper), -spec.excess);
@@ -103,20 +104,24 @@ pub(super) fn design_text(
         ("starts", Value::Integer(spec.starts as i64)),
         ("evaluations", Value::Integer(spec.max_evaluations as i64)),
     ]);
-    let objective = objective(folder, &list, identification)?;
-    let all = table([
-        ("objective", Value::Table(table([("file", Value::String(objective))]))),
+    // The job finds fault with a criterion that there is not.
+    let predicts = criterion::criterion(wanted, &Table::new()).is_ok_and(|c| c.needs_objective_signal());
+    let objective = if predicts { Some(objective(folder, &list, identification)?) } else { None };
+    let mut all = table([
         ("name", Value::String("design01".into())),
         ("length_s", Value::Float(spec.record_s)),
         ("sample_time_s", Value::Float(ctx.spec.sample_time_s)),
         ("rivals", Value::Integer(0)),
         ("certificate", Value::Boolean(false)),
         // Values of `d` are logarithms, and add up as they are.
-        ("efficiencies", Value::Boolean(criterion != "d")),
+        ("efficiencies", Value::Boolean(wanted != "d")),
         ("channels", Value::Array(list)),
         ("models", Value::Array(model_tables)),
         ("search", Value::Table(search)),
     ]);
+    if let Some(file) = objective {
+        all.insert("objective".into(), Value::Table(table([("file", Value::String(file))])));
+    }
     toml::to_string(&all).map_err(|e| ChainError::Design(e.to_string()))
 }
 

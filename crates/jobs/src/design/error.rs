@@ -111,7 +111,7 @@ pub enum DesignJobError {
     },
     /// A model whose free run grows without bound within the limits.
     #[error(
-        "{model} is unstable: on a random record within the limits its free run grows from {early:.4} to {late:.4}{u} \
+        "{model} is unstable: on the objective signal, repeated (a random record within the limits where none is given), its free run grows from {early:.4} to {late:.4}{u} \
          in {samples} samples; expected a stable model (see `stability` in the report of `dynocal identify`)",
         u = UnitAfter(.unit)
     )]
