@@ -164,6 +164,11 @@ pub trait FeedforwardMap: Send + Sync {
         None
     }
 
+    /// The same map with its values in steps, as a control unit keeps them. None where no resolution was asked for.
+    fn rounded(&self) -> Option<structures::StoredMap> {
+        None
+    }
+
     /// The same map with the plainest dynamics, one lag of all actuators but `leader`, as `judge` likes it best: what shows whether
     /// those of [`FeedforwardMap::tuned`] pay. None where the structure has none.
     fn lagged(&self, _judge: Judge, _leader: usize) -> Option<structures::StoredMap> {

@@ -71,6 +71,10 @@ fn equal_bytes_for_any_number_of_threads_resume_and_report() {
     assert!((at_rest_s - (25.0 * 117.0 * 0.03 + 3.0)).abs() < 1e-9, "{at_rest_s}");
     let total_s = summary["bed"]["total_s"].as_f64().unwrap();
     assert!((total_s - (loops_s + 42.0 + 12.0 + 42.0 + at_rest_s)).abs() < 1e-9, "{total_s}");
+    // The price of causality: with preview, without it, as it is delivered.
+    let [preview, delivered] =
+        ["preview", "delivered"].map(|k| summary["causality"][k].as_f64().unwrap_or(f64::NAN));
+    assert!(preview > 0.0 && delivered > 0.0, "{}", summary["causality"]);
     assert!(summary.to_string().len() > 1000 && !two.stdout.contains("elapsed"));
 
     let before = text(&tmp.path().join("one/summary.json"));

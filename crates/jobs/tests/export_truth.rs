@@ -124,6 +124,7 @@ fn tables(rng: &mut Rng64) -> LeadLagMap {
         demand,
         given,
         loss: vec![0.0; 3],
+        steps: None,
     }
 }
 

@@ -67,6 +67,7 @@ const CALIBRATE: &[&str] = &[
     "optimise_start",
     "excite_step",
     "models",
+    "poor",
     "optimise_plan",
     "design_spec",
     "refine",

@@ -13,6 +13,8 @@
 //! one that leads go beyond its rest for a while (h > 1), where nothing has to wait for it.
 
 mod onto;
+mod rounded;
+mod search;
 
 use super::lookup::Corners;
 use super::structured::{StructuredMap, StructuredShape};
@@ -25,6 +27,7 @@ use dynocal_numerics::interval::Interval;
 use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Row of the table.
@@ -45,6 +48,18 @@ pub(super) const ROW: MapRow = MapRow {
                 default: "9",
                 what: "breakpoints of the given channel",
             },
+            ParamDoc {
+                name: "resolution",
+                unit: "of the actuator",
+                default: "none",
+                what: "by actuator: its tables hold multiples of this",
+            },
+            ParamDoc {
+                name: "lag_resolution_s",
+                unit: "s",
+                default: "0",
+                what: "lags are multiples of this; 0: any",
+            },
         ],
     },
     fits: |ports| !ports.demands.is_empty(),
@@ -52,12 +67,6 @@ pub(super) const ROW: MapRow = MapRow {
     read: |map| Ok(Arc::new(serde_json::from_value::<LeadLagMap>(map)?)),
 };
 
-/// Longest lag that is looked for, in s.
-const LONGEST_S: f64 = 0.6;
-/// Steps of the line search of the lag that all followers share at first.
-const STEPS: u32 = 30;
-/// Times that the steps of the search of each actuator's own dynamics are halved.
-const HALVINGS: u32 = 4;
 /// Most of a lead: a leading actuator that goes further beyond its rest asks for more than a model of the plant was told.
 const MOST_LEAD: f64 = 4.0;
 /// Steps of its line search.
@@ -75,11 +84,15 @@ pub struct LeadLagShape {
     pub demand_points: usize,
     /// Breakpoints of the first given channel.
     pub given_points: usize,
+    /// By actuator: step of which its tables hold multiples, in its unit.
+    pub resolution: BTreeMap<String, f64>,
+    /// Step of the lags in s; 0: none.
+    pub lag_resolution_s: f64,
 }
 
 impl Default for LeadLagShape {
     fn default() -> Self {
-        Self { demand_points: 9, given_points: 9 }
+        Self { demand_points: 9, given_points: 9, resolution: BTreeMap::new(), lag_resolution_s: 0.0 }
     }
 }
 
@@ -121,6 +134,21 @@ pub struct LeadLagMap {
     /// Largest difference of the tables between their breakpoints from what they were made of, as a share of the range of each
     /// actuator's table.
     pub loss: Vec<f64>,
+    /// Steps that its values are multiples of; none: any value.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steps: Option<Steps>,
+}
+
+/// Resolution of the tables, and what rounding to it changed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Steps {
+    /// Step of the tables of each actuator, in its unit; 0: none.
+    pub actuators: Vec<f64>,
+    /// Step of the lags in s; 0: none.
+    pub lag_s: f64,
+    /// Largest change of each base table, as a share of its range; nothing before it is rounded.
+    pub rounding: Vec<f64>,
 }
 
 /// A reference that acts by slopes.
@@ -148,7 +176,8 @@ pub struct ActuatorTables {
 }
 
 impl MapStructure for LeadLagShape {
-    fn check(&self, _ports: &Ports, key: &str, faults: &mut Faults) {
+    fn check(&self, ports: &Ports, key: &str, faults: &mut Faults) {
+        rounded::check(self, ports, key, faults);
         for (name, n) in [("demand_points", self.demand_points), ("given_points", self.given_points)] {
             if !(2..=65).contains(&n) {
                 faults.push(&format!("{key}.{name}"), n, "from 2 to 65");
@@ -224,7 +253,8 @@ impl LeadLagMap {
                 }
             }
         }
-        let mut map = Self { ports, demand, given, region, others, actuators, loss: Vec::new() };
+        let steps = rounded::steps(shape, &ports);
+        let mut map = Self { ports, demand, given, region, others, actuators, loss: Vec::new(), steps };
         map.loss = map.loss_against(|t, n| at(t, n, &mut row));
         map
     }
@@ -287,68 +317,6 @@ impl LeadLagMap {
         };
         self.ports.actuators.iter().zip(columns).map(score).collect()
     }
-
-    /// The table of lags of a law.
-    fn lags(&self, law: &LagLaw) -> Vec<f64> {
-        let middle = |axis: &[f64]| 0.5 * (axis[0] + axis[axis.len() - 1]);
-        let (t0, n0) = (middle(&self.demand), middle(&self.given));
-        // A channel that reaches zero or changes its sign has no powers.
-        let power = |ratio: f64, p: f64| if ratio > 0.0 && ratio.is_finite() { ratio.powf(p) } else { 1.0 };
-        let cells = self.demand.iter().flat_map(|t| self.given.iter().map(move |n| (*t, *n)));
-        cells
-            .map(|(t, n)| {
-                let tau = law.tau_s * power(n0 / n, law.by_given) * power(t / t0, law.by_demand);
-                tau.clamp(0.0, 2.0 * LONGEST_S)
-            })
-            .collect()
-    }
-
-    /// Actuators that do not lead.
-    fn followers(&self, leader: usize) -> Vec<usize> {
-        (0..self.actuators.len()).filter(|c| *c != leader).collect()
-    }
-
-    /// One lag of all that follow, inverse to the given channel, by a line search from 0 to 0.6 s: what it costs, and the map. None where
-    /// nothing of it can be judged.
-    fn one_lag(&self, judge: Judge, followers: &[usize]) -> Option<(f64, Self)> {
-        let mut best = (f64::INFINITY, self.clone());
-        for k in 0..=STEPS {
-            let law = LagLaw { tau_s: LONGEST_S * f64::from(k) / f64::from(STEPS), ..LagLaw::NONE };
-            let map = self.with(&followers.iter().map(|c| (*c, law)).collect::<Vec<_>>());
-            let value = judge(&map);
-            if value < best.0 {
-                best = (value, map);
-            }
-        }
-        best.0.is_finite().then_some(best)
-    }
-
-    /// From a map and what it costs: dynamics of some actuators, each with the most of its lead, by steps that are halved.
-    fn searched(mut best: (f64, Self), judge: Judge, actuators: &[(usize, f64)]) -> (f64, Self) {
-        for halving in 0..HALVINGS {
-            for &(c, most_lead) in actuators {
-                let size = 0.5f64.powi(halving as i32);
-                for law in neighbours(best.1.actuators[c].law, size, most_lead) {
-                    let map = best.1.with(&[(c, law)]);
-                    let value = judge(&map);
-                    if value < (1.0 - PAYS) * best.0 {
-                        best = (value, map);
-                    }
-                }
-            }
-        }
-        best
-    }
-
-    /// The map with other dynamics of some actuators.
-    fn with(&self, laws: &[(usize, LagLaw)]) -> Self {
-        let mut map = self.clone();
-        for (c, law) in laws {
-            map.actuators[*c].lag_s = self.lags(law);
-            map.actuators[*c].law = *law;
-        }
-        map
-    }
 }
 
 /// Mean of a reference over all records.
@@ -356,19 +324,6 @@ fn mean_of(pairs: &[Pairs], place: usize) -> f64 {
     let n: usize = pairs.iter().map(|p| p.response.len()).sum();
     let sum: f64 = pairs.iter().flat_map(|p| p.response.iter()).map(|r| r[place]).sum();
     sum / n.max(1) as f64
-}
-
-/// Changes of a law that the search tries, at steps of `size` (1, then halves of it), up to a lead.
-fn neighbours(law: LagLaw, size: f64, most_lead: f64) -> impl Iterator<Item = LagLaw> {
-    let changes = [(0.03, 0.0, 0.0, 0.0), (0.0, 0.4, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.0, 0.0, 0.0, 0.2)];
-    changes.into_iter().flat_map(move |(tau, given, demand, lead)| {
-        [size, -size].map(|s| LagLaw {
-            tau_s: (law.tau_s + s * tau).clamp(0.0, LONGEST_S),
-            by_given: (law.by_given + s * given).clamp(-1.0, 3.0),
-            by_demand: (law.by_demand + s * demand).clamp(-1.0, 1.0),
-            lead: (law.lead + s * lead).clamp(0.0, most_lead),
-        })
-    })
 }
 
 impl FeedforwardMap for LeadLagMap {
@@ -459,6 +414,10 @@ impl FeedforwardMap for LeadLagMap {
         let most = |c| if c == leader { MOST_LEAD } else { 1.0 };
         let all: Vec<(usize, f64)> = (0..self.actuators.len()).map(|c| (c, most(c))).collect();
         Some(StoredMap::new(Self::searched(best, judge, &all).1))
+    }
+
+    fn rounded(&self) -> Option<StoredMap> {
+        self.in_steps().map(StoredMap::new)
     }
 
     fn lagged(&self, judge: Judge, leader: usize) -> Option<StoredMap> {

@@ -1,7 +1,7 @@
 //! Faults of a calibration spec that its types cannot show.
 
 use super::channels;
-use super::spec::{AUTO, CalibrateSpec, INFORMATIVE, RICHEST};
+use super::spec::{AUTO, CalibrateSpec, INFORMATIVE, NEURAL, RICHEST};
 use dynocal_calib::map::structures::{self, MAP_STRUCTURES};
 use dynocal_design::criterion::CRITERIA;
 use dynocal_files::spec::Faults;
@@ -45,6 +45,9 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
         if !known.contains(&found.as_str()) {
             faults.unknown(key, found, &known.map(str::to_string));
         }
+    }
+    for family in s.identify.families.iter().filter(|f| *f != NEURAL) {
+        faults.unknown("identify.families", family, &[NEURAL.to_string()]);
     }
     const PAIRS: [&str; 3] = ["auto", "measured", "simulated"];
     if !PAIRS.contains(&s.invert.pairs.as_str()) {
@@ -289,6 +292,9 @@ fn counts(s: &CalibrateSpec, faults: &mut Faults) {
         if value < least || value > most {
             faults.push(key, value, format!("a whole number from {least} to {most}"));
         }
+    }
+    if let Some(w) = s.optimise.within_points {
+        faults.range("optimise.within_points", w, 0.0, 100.0, "points");
     }
     faults.range("optimise.smoothing", s.optimise.smoothing, 0.0, 1e3, "of the objective");
     let r = &s.invert.at_rest;

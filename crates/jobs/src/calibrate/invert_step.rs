@@ -156,7 +156,10 @@ pub fn finished(
     let dynamic = tuned(fitted.dynamic);
     let mut points = at_rest::measured(ctx, folder, &*dynamic)?;
     let dynamic = led(ctx, at_rest::anchored(dynamic, points.as_mut()), models, leader)?;
-    let one_lag = one_lag.map(|m| at_rest::anchored(m, points.clone().as_mut()));
+    // Rounded last, and so as it is compared: what is delivered is what was judged.
+    let rounded = |m: StoredMap| m.rounded().unwrap_or(m);
+    let dynamic = rounded(dynamic);
+    let one_lag = one_lag.map(|m| rounded(at_rest::anchored(m, points.clone().as_mut())));
     let rivals = fitted.rivals.into_iter();
     let rivals = rivals.map(|m| at_rest::anchored(tuned(m), points.clone().as_mut())).collect();
     Ok(InvertResult { dynamic, rivals, one_lag, at_rest: points, ..fitted })

@@ -32,6 +32,7 @@ pub mod optimise_plan;
 mod optimise_start;
 pub mod optimise_step;
 pub mod page;
+mod poor;
 pub mod records;
 mod refine;
 pub mod run;

@@ -2,6 +2,7 @@
 
 use super::context::Context;
 use super::error::ChainError;
+use super::spec::NEURAL;
 use dynocal_calib::problem::GivenChannel;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::Derived;
@@ -112,9 +113,41 @@ pub(super) fn candidates(
             tables.push(generated(ctx, (output, Speed::Stays), &inputs, &extra, lags, terms));
         }
     }
+    if ctx.spec.identify.families.iter().any(|f| f == NEURAL) {
+        // It bends as it likes, and needs no reciprocal.
+        tables.push(neural(ctx, output, &inputs, &extra, lags));
+    }
     Ok(Candidates { tables, derive })
 }
 
+/// A network over the same lags.
+fn neural(ctx: &Context, target: &str, inputs: &[String], derived: &[String], lags: usize) -> CandidateSpec {
+    let one = Value::Array(vec![Value::Integer(1), Value::Integer(1)]);
+    let slow = inputs.iter().filter(|i| ctx.channels.given.contains(i) || derived.contains(i));
+    let structure = table([
+        ("name", Value::String(NEURAL.into())),
+        ("input_lags", Value::Integer(lags as i64)),
+        ("output_lags", Value::Integer(2)),
+        ("lags", Value::Table(slow.map(|i| (i.clone(), one.clone())).collect())),
+        // A linear path beside the neurons: beyond what was seen it goes on straight.
+        ("direct", Value::Boolean(true)),
+    ]);
+    let estimator = table([
+        ("name", Value::String("train".into())),
+        ("starts", Value::Integer(NEURAL_STARTS)),
+        ("seed", Value::Integer(ctx.spec.seed as i64)),
+    ]);
+    let model = table([
+        ("target", Value::String(target.into())),
+        ("inputs", Value::Array(inputs.iter().cloned().map(Value::String).collect())),
+        ("structure", Value::Table(structure)),
+        ("estimator", Value::Table(estimator)),
+    ]);
+    CandidateSpec { what: format!("neural model of {target}"), model }
+}
+
+/// Starts of a network's training.
+const NEURAL_STARTS: i64 = 3;
 /// Terms that forward selection takes beyond those that stay.
 const SURPLUS: usize = 30;
 

@@ -113,9 +113,13 @@ pub fn optimise(
         let pass = one_pass(ctx, folder, k, &models, &mut data, validation)?;
         models = pass.models.clone();
         ctx.fraction(k as f64 / spec.passes as f64);
+        let enough = spec.within_points.is_some_and(|most| pass.usable && pass.missed_points().abs() <= most);
         passes.push(pass);
+        if enough {
+            break;
+        }
     }
-    let bed_s = 2.0 * spec.passes as f64 * (spec.record_s + ctx.spec.excite.lead_in_s);
+    let bed_s = 2.0 * passes.len() as f64 * (spec.record_s + ctx.spec.excite.lead_in_s);
     Ok(OptimiseResult { passes, bed_s })
 }
 
@@ -206,6 +210,11 @@ fn same_meters(ctx: &Context, start: &Dataset, optimum: &Dataset) -> Result<(), 
 }
 
 impl Pass {
+    /// Measured less promised ratio, in points.
+    pub fn missed_points(&self) -> f64 {
+        100.0 * (self.measured_ratio - self.promised_ratio)
+    }
+
     /// Derived channels of the objective that no meter gave: they follow from the recorded inputs.
     pub fn unmetered(&self, problem: &CalibrationProblem) -> Vec<String> {
         let metered = |name: &String| self.meters.iter().any(|m| m.channel == *name);

@@ -8,6 +8,7 @@ use super::fuel_plant::as_asked;
 use super::invert_step::{InvertResult, finished, invert_refined};
 use super::models::{ModelData, ModelsResult, identify_all, save_models};
 use super::optimise_step::{OptimiseResult, Pass, optimise};
+use super::poor;
 use super::records::RecordRef;
 use super::validate_step::{ValidateResult, validate};
 use dynocal_files::json;
@@ -108,6 +109,12 @@ pub fn run(
         if how == How::Run {
             on.begun.store(k, Ordering::Relaxed);
             ctx.begin(k, STEPS.len() + 1, step);
+        }
+        if *step == "optimise"
+            && let Some(why) = result.design.as_ref().and_then(|d| poor::refused(ctx.spec, &d.result.models))
+        {
+            ctx.watch.note(&why);
+            break;
         }
         let found = match *step {
             "excite" => kept(step_excite((ctx, on), folder, how)?, &mut result.excite),

@@ -126,6 +126,8 @@ pub struct LoopSpec {
     pub trim: Option<PiGains>,
 }
 
+/// The family of `identify.families` that is generated beside polynomials.
+pub(super) const NEURAL: &str = "neural";
 /// The value of `excite.signal` that chooses levels instead of drawing them.
 pub(super) const INFORMATIVE: &str = "informative";
 /// The value of `design.model` that asks for the candidate of most parameters.
@@ -212,7 +214,10 @@ pub struct IdentifySpec {
     pub terms: usize,
     /// How often the terms are doubled for further candidates; the records that choose say what is large enough.
     pub doublings: usize,
-    /// Longest lag of a generated pool in samples; doubled for outputs that are modelled by their reciprocal, whose sensor
+    /// Families of generated candidates beside polynomials: `neural`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub families: Vec<String>,
+    /// Longest lag of a generated pool in samples; half as many again for outputs that are modelled by their reciprocal, whose sensor
     /// lies behind a transport.
     pub lags: usize,
     /// Judgement: the table `[validate]` of `dynocal identify`.
@@ -229,6 +234,7 @@ impl Default for IdentifySpec {
             files: BTreeMap::new(),
             terms: 30,
             doublings: 0,
+            families: Vec::new(),
             lags: 5,
             validate: toml::Table::new(),
         }
@@ -287,8 +293,15 @@ impl Default for DesignSpec {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimiseSpec {
-    /// Passes: optimise, measure, identify again.
+    /// Passes at most: optimise, measure, identify again.
     pub passes: usize,
+    /// Passes end before their number when an optimum that may be used is measured within so many points of what it promised; none: they
+    /// do not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub within_points: Option<f64>,
+    /// Whether an optimum is sought on models of demanded outputs that say less of unseen records than the mean of the output does.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub force: bool,
     /// Length of each record in s.
     pub record_s: f64,
     /// Ranges of the demands where they are not the inner parts of those of the problem.
@@ -314,6 +327,8 @@ impl Default for OptimiseSpec {
     fn default() -> Self {
         Self {
             passes: 2,
+            within_points: None,
+            force: false,
             record_s: 60.0,
             ranges: BTreeMap::new(),
             hold_s: 1.5,

@@ -8,6 +8,7 @@ mod rivals;
 
 use super::models::ModelsResult;
 use super::optimise_step::Pass;
+use super::poor;
 use super::run::ChainResult;
 use super::spec::{CalibrateSpec, INFORMATIVE};
 use super::validate_step::{DYNAMIC, NOT_REFINED, ONE_LAG, OWN_FUEL, ValidateResult};
@@ -57,6 +58,11 @@ impl Findings {
 pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     let mut f = Findings { faults: Vec::new(), notes: Vec::new(), status: Status::Converged };
     excitation(r, &mut f);
+    if let (Some(d), None) = (&r.design, &r.optimise)
+        && let Some(why) = poor::refused(spec, &d.result.models)
+    {
+        f.fault(Status::Stalled, why);
+    }
     passes(spec, r, &mut f);
     if let Some(v) = &r.validate {
         comparison(spec, &v.result, &mut f);
@@ -148,7 +154,7 @@ fn passes(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
         for l in p.limits.iter().filter(|l| l.soft && l.passed()) {
             f.notes.push(format!("The measured optimum of pass {} passes {}.", p.pass, l.words()));
         }
-        let points = 100.0 * (p.measured_ratio - p.promised_ratio).abs();
+        let points = p.missed_points().abs();
         if points > PROMISE_POINTS {
             let what = objective_words(spec);
             let seen = if p.unmetered(&spec.problem).is_empty() { "measured" } else { "played" };
@@ -214,7 +220,9 @@ fn comparison(spec: &CalibrateSpec, v: &ValidateResult, f: &mut Findings) {
     for s in &v.scores {
         let finite = s.objective.is_finite() && s.demands.iter().all(|d| d.rms.is_finite());
         if !finite {
-            f.fault(Status::Diverged, format!("The {} has no finite result in {}.", s.map, s.scenario));
+            let text = format!("The {} has no finite result in {}.", s.map, s.scenario);
+            // What a rival does is no fault of the map that is delivered.
+            if s.map == DYNAMIC { f.fault(Status::Diverged, text) } else { f.notes.push(text) }
         }
     }
     for s in v.scores.iter().filter(|s| s.map == DYNAMIC) {

@@ -6,6 +6,7 @@ use super::figures::Figures;
 use super::worth::{TESTS, WorthCase};
 use crate::asked::Asked;
 use crate::{Check, check};
+use dynocal_ident::validate::spread::Spread;
 
 /// Place of the predictor without filter, and of the retuned PI, among the delayed loops.
 pub(super) const PREDICTOR: usize = 1;
@@ -289,16 +290,10 @@ pub(super) fn interval(values: &[f64], unit: &str) -> String {
 
 /// Ends of that interval; both the value where there is one, none without.
 fn ends(values: &[f64]) -> Option<(f64, f64)> {
-    let n = values.len();
-    let mean = values.iter().sum::<f64>() / n as f64;
-    let t = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365];
-    match n {
+    let found = Spread::of(values, 0.95);
+    match values.len() {
         0 => None,
-        1 => Some((mean, mean)),
-        _ => {
-            let spread = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1) as f64).sqrt();
-            let half = t[(n - 2).min(t.len() - 1)] * spread / (n as f64).sqrt();
-            Some((mean - half, mean + half))
-        }
+        1 => Some((found.mean, found.mean)),
+        _ => Some((found.low, found.high)),
     }
 }

@@ -7,6 +7,7 @@ use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::error::PlantError as EngineError;
 use dynocal_plant::film::FilmModel;
 use dynocal_plant::params::EngineParams;
+use dynocal_plant::testbed::settings::BedOptions;
 
 /// Interval of control in s.
 pub(super) const SAMPLE_S: f64 = 0.01;
@@ -124,10 +125,13 @@ pub(super) struct Trace {
 const ZERO_C: f64 = 273.15;
 
 /// The bed of a parameter set as it comes, with the coolant as one more output; walls, coolant and oil at `start_c` at the start,
-/// if that is given.
-pub(super) fn bed(parameters: &str, start_c: Option<f64>) -> Result<EngineBed, EngineError> {
+/// if that is given; with `real` a real one whatever the set has by itself.
+pub(super) fn bed(parameters: &str, start_c: Option<f64>, real: bool) -> Result<EngineBed, EngineError> {
     let params = EngineParams::named(parameters)?;
     let mut settings = BedSettings::of_set(parameters, &params)?;
+    if real {
+        settings.options = BedOptions::real_of_set(parameters);
+    }
     settings.options.outputs.push("coolant".into());
     if let (Some(start_c), Some(thermal)) = (start_c, &mut settings.options.engine.warm_up) {
         thermal.start_k = start_c + ZERO_C;

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::bed::SAMPLE_S;
 use super::contest::Ended;
+use super::engines::Group;
 use super::judge::judged;
 use crate::asked::Asked;
 use crate::{Check, StudyError, TaskResult};
@@ -286,10 +287,10 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
         }),
     ];
     let mut out = Vec::new();
-    for (own, suffix, words) in [(true, "", "mean of seeds"), (false, "-others", "worst of engines like it")]
-    {
+    for group in Group::ALL {
+        let (own, (suffix, words)) = (group == Group::Own, group.words());
         for (id, what, asked, of) in numbers {
-            let of_it = all.iter().filter(|c| (c.heated == ENGINE) == own);
+            let of_it = all.iter().filter(|c| Group::of(ENGINE, &c.heated) == group);
             let found: Vec<Option<f64>> =
                 of_it.map(|c| <[Told; 4]>::try_from(c.judged.clone()).ok().map(|j| of(&j))).collect();
             if own || !found.is_empty() {

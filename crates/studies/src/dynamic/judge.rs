@@ -1,11 +1,13 @@
 //! The checks.
 
 use super::contest::{FEEDBACK, LAGGED, OURS, POSSIBLE, PREVIEW, STATIC, UNTRIMMED};
+use super::engines::Group;
 use super::measures::Measures;
-use super::scenario::{SCENARIOS, Scenario};
+use super::scenario::{SCENARIOS, SIXTH, Scenario};
 use super::{Case, boost, cases, cycles, heating};
 use crate::asked::Asked;
 use crate::{Check, TaskResult, check};
+use dynocal_ident::validate::spread::Spread;
 
 type Of = fn(&Measures) -> f64;
 
@@ -43,18 +45,28 @@ fn ratio(case: &Case, name: &str, course: usize, of: Of, against: Against) -> Op
     Some(value(case, name, course, of)? / best)
 }
 
-/// Mean of the seeds with its standard error in words; the worst of engines.
+/// Mean of the seeds with its interval of nineteen of twenty in words, and whether all of that interval keeps what is asked; the worst of engines.
 pub(super) fn judged(id: &str, what: &str, asked: Asked, ratios: &[Option<f64>], worst: bool) -> Check {
     let all: Option<Vec<f64>> = ratios.iter().copied().collect();
     let all = all.filter(|a| !a.is_empty());
-    let mean = all.as_ref().map(|a| a.iter().sum::<f64>() / a.len() as f64);
-    let measured = if worst { asked.worst(ratios) } else { mean };
-    let note = match (&all, mean) {
-        (Some(a), Some(m)) if a.len() > 1 => {
-            let variance = a.iter().map(|x| (x - m).powi(2)).sum::<f64>() / (a.len() - 1) as f64;
-            let error = (variance / a.len() as f64).sqrt();
+    let spread = all.as_ref().map(|a| Spread::of(a, 0.95));
+    let measured = if worst { asked.worst(ratios) } else { spread.as_ref().map(|s| s.mean) };
+    let note = match (&all, spread) {
+        (Some(a), Some(s)) if a.len() > 1 => {
             let each: Vec<String> = a.iter().map(|x| format!("{x:.3}")).collect();
-            format!("mean {m:.3}, standard error {error:.3}; each: {}", each.join(", "))
+            let sure = match asked {
+                Asked::AtMost(most) if !worst && s.mean <= most && s.high > most => {
+                    ", which reaches beyond what is asked"
+                }
+                _ => "",
+            };
+            format!(
+                "mean {:.3}, 95 % interval {:.3} to {:.3}{sure}; each: {}",
+                s.mean,
+                s.low,
+                s.high,
+                each.join(", ")
+            )
         }
         _ => String::new(),
     };
@@ -84,10 +96,10 @@ fn over(scenario: usize, course: usize, id: String, what: String, asked: Asked, 
 }
 
 /// Ours over what learning on the judged record itself reaches without preview: what is left to be had.
-fn over_possible(scenario: usize, course: usize, id: &str, words: &str) -> Number {
+fn over_possible(scenario: &Scenario, course: usize, id: &str, words: &str) -> Number {
     Number {
-        scenario,
-        id: format!("{scenario}-{id}-integral-left"),
+        scenario: scenario.number,
+        id: format!("{}-{id}-integral-left", scenario.tag),
         what: format!("{words}: integral of |lambda - 1|, over that of what is possible"),
         asked: Asked::Reported,
         of: Box::new(move |c| ratio(c, OURS, course, |m| m.integral_s, Against::One(POSSIBLE))),
@@ -103,7 +115,7 @@ fn port_numbers() -> Vec<Number> {
         for (course, (id, words)) in scenario.courses().into_iter().enumerate() {
             let what = format!("{words}: integral of |lambda - 1|");
             out.push(over(number, course, format!("{number}-{id}-integral"), what.clone(), third, integral));
-            out.push(over_possible(number, course, &id, &words));
+            out.push(over_possible(scenario, course, &id, &words));
             for (row, suffix, told) in
                 [(POSSIBLE, "possible", "of what is possible"), (PREVIEW, "preview", "of that with preview")]
             {
@@ -146,7 +158,7 @@ fn port_numbers() -> Vec<Number> {
 }
 
 /// The sixth scenario: ours beside the tuned lag, and its offsets beside those of the static map.
-fn thesis_numbers() -> Vec<Number> {
+fn thesis_numbers(number: usize) -> Vec<Number> {
     let measures: [(&str, &str, f64, Of); 3] = [
         ("integral", "integral of |lambda - 1|", 0.8, |m| m.integral_s),
         ("spike", "largest spike of lambda", 0.8, Measures::spike),
@@ -156,15 +168,16 @@ fn thesis_numbers() -> Vec<Number> {
         ("offset", "offset of lambda", 0.002, |m| m.offset),
         ("torque-offset", "offset of the torque in Nm", 0.1, |m| m.torque_offset_nm),
     ];
-    let Some(scenario) = Scenario::of(6) else {
+    let Some(scenario) = Scenario::of(number) else {
         return Vec::new();
     };
+    let tag = scenario.tag;
     let mut out = Vec::new();
     for (course, (id, words)) in scenario.courses().into_iter().enumerate() {
         for (name, what, most, of) in measures {
             out.push(Number {
-                scenario: 6,
-                id: format!("6-{id}-{name}"),
+                scenario: number,
+                id: format!("{tag}-{id}-{name}"),
                 what: format!("{words}: {what}, over that of the static map with a tuned lag"),
                 asked: at_most(most),
                 of: Box::new(move |c| ratio(c, OURS, course, of, Against::One(LAGGED))),
@@ -172,15 +185,15 @@ fn thesis_numbers() -> Vec<Number> {
         }
         for (name, what, most, of) in offsets {
             out.push(Number {
-                scenario: 6,
-                id: format!("6-{id}-{name}"),
+                scenario: number,
+                id: format!("{tag}-{id}-{name}"),
                 what: format!("{words}: {what} beyond that of the static map"),
                 asked: at_most(most),
                 of: Box::new(move |c| Some(value(c, OURS, course, of)? - value(c, STATIC, course, of)?)),
             });
         }
         let integral: Of = |m| m.integral_s;
-        out.push(over_possible(6, course, &id, &words));
+        out.push(over_possible(scenario, course, &id, &words));
         for (row, suffix, against, told) in [
             (OURS, "best", Against::Best, "integral of |lambda - 1|"),
             (POSSIBLE, "possible", Against::One(LAGGED), "integral of |lambda - 1| of what is possible"),
@@ -188,8 +201,8 @@ fn thesis_numbers() -> Vec<Number> {
             let beside =
                 if suffix == "best" { "the best rival's" } else { "that of the static map with a tuned lag" };
             out.push(Number {
-                scenario: 6,
-                id: format!("6-{id}-integral-{suffix}"),
+                scenario: number,
+                id: format!("{tag}-{id}-integral-{suffix}"),
                 what: format!("{words}: {told}, over {beside}"),
                 asked: Asked::Reported,
                 of: Box::new(move |c| ratio(c, row, course, integral, against)),
@@ -202,12 +215,14 @@ fn thesis_numbers() -> Vec<Number> {
 pub(super) fn reduce(results: &[TaskResult]) -> Vec<Check> {
     let all = cases(results);
     let mut checks = Vec::new();
-    let numbers: Vec<Number> = port_numbers().into_iter().chain(thesis_numbers()).collect();
-    for (own, suffix, words) in [(true, "", "mean of seeds"), (false, "-others", "worst of engines like it")]
-    {
+    let numbers: Vec<Number> =
+        port_numbers().into_iter().chain(SIXTH.into_iter().flat_map(thesis_numbers)).collect();
+    for group in Group::ALL {
+        let (own, (suffix, words)) = (group == Group::Own, group.words());
         for n in &numbers {
             let engine = Scenario::of(n.scenario).map_or("", |s| s.engine);
-            let of_it = all.iter().filter(|c| c.scenario == n.scenario && (c.engine == engine) == own);
+            let of_it =
+                all.iter().filter(|c| c.scenario == n.scenario && Group::of(engine, &c.engine) == group);
             let found: Vec<Option<f64>> = of_it.map(|c| (n.of)(c)).collect();
             if !own && found.is_empty() {
                 continue;
@@ -216,14 +231,18 @@ pub(super) fn reduce(results: &[TaskResult]) -> Vec<Check> {
             checks.push(judged(&id, &what, n.asked, &found, !own));
         }
     }
-    for scenario in SCENARIOS.iter().map(|s| s.number) {
-        let of_it = || all.iter().filter(|c| c.scenario == scenario);
+    for Scenario { number, tag, .. } in &SCENARIOS {
+        let of_it = || all.iter().filter(|c| c.scenario == *number);
+        // A study of one scenario says nothing of the others.
+        if of_it().next().is_none() {
+            continue;
+        }
         let bed = of_it().map(|c| Some(c.record_s)).collect::<Vec<_>>();
         let map = of_it().map(|c| c.map_s).fold(0.0, f64::max);
         // The length of the record is the study's own: nothing to hold.
         checks.push(check(
-            format!("{scenario}-bed-time"),
-            format!("scenario {scenario}: bed time of ours beyond the static map's"),
+            format!("{tag}-bed-time"),
+            format!("scenario {tag}: bed time of ours beyond the static map's"),
             Asked::Reported,
             Asked::Reported.worst(&bed),
             "s",

@@ -3,6 +3,7 @@
 //! No controller: it is told what no sensor says, and it repeats the record that is judged. It says which ratios can be had.
 
 use dynocal_calib::fuelling::{FuelPolicy, Learning};
+use rayon::prelude::*;
 
 use super::bed::{Course, MOST_MG, SAMPLE_S, Trace, play};
 use super::contest::{Contest, Drive, Known, Row};
@@ -17,24 +18,37 @@ pub(super) const GAIN: f64 = 0.6;
 pub(super) const HALF: usize = 2;
 /// Cycles from the command of an injection until its gas is in the exhaust manifold that are tried; the best one counts, by the
 /// judged record: what is sought is the best that there is.
-pub(super) const LATE_CYCLES: [f64; 4] = [0.75, 1.0, 1.5, 2.0];
+const LATE_CYCLES: [f64; 4] = [0.75, 1.0, 1.5, 2.0];
+/// Trials after which the best of them goes on alone.
+pub(super) const PROBED: u64 = 4;
+
+/// What is learned on each of `count` records: with each delay over a few trials, then with the one of the least integral of lambda over all.
+/// `one` learns on a record with a delay in cycles over so many trials. At reduced length one delay is tried.
+pub(super) fn by_delay<T: Send>(
+    count: usize,
+    reduced: bool,
+    one: impl Fn(usize, f64, u64) -> Result<T, String> + Sync,
+    integral_s: impl Fn(&T) -> f64 + Sync,
+) -> Result<Vec<T>, String> {
+    if reduced {
+        return (0..count).into_par_iter().map(|k| one(k, LATE_CYCLES[1], SHORT)).collect();
+    }
+    let tries: Vec<(usize, f64)> =
+        (0..count).flat_map(|k| LATE_CYCLES.iter().map(move |cycles| (k, *cycles))).collect();
+    let probed = |(k, cycles): &(usize, f64)| Ok(integral_s(&one(*k, *cycles, PROBED)?));
+    let shown: Vec<f64> = tries.par_iter().map(probed).collect::<Result<_, String>>()?;
+    let best = |k: usize| {
+        let of_it = tries.iter().zip(&shown).filter(|((of, _), _)| *of == k);
+        of_it.min_by(|a, b| a.1.total_cmp(b.1)).map_or(LATE_CYCLES[0], |(t, _)| t.1)
+    };
+    (0..count).into_par_iter().map(|k| one(k, best(k), TRIALS)).collect()
+}
 
 /// Learned fuel in all courses.
 pub(super) fn row(of: &Contest<'_>, known: &Known, name: &str, preview: bool) -> Result<Row, String> {
-    use rayon::prelude::*;
-    // At reduced length one of them only.
-    let late = if of.stride > 1 { &LATE_CYCLES[1..2] } else { &LATE_CYCLES[..] };
-    let tries: Vec<(usize, f64)> =
-        (0..of.judged.len()).flat_map(|k| late.iter().map(move |cycles| (k, *cycles))).collect();
-    let found: Vec<(usize, Measures)> = tries
-        .par_iter()
-        .map(|(k, cycles)| Ok((*k, learned(of, known, &of.judged[*k], preview, *cycles)?)))
-        .collect::<Result<_, String>>()?;
-    let best = |k: usize| {
-        let of_it = found.iter().filter(|f| f.0 == k).map(|f| f.1);
-        of_it.min_by(|a, b| a.integral_s.total_cmp(&b.integral_s)).unwrap_or_default()
-    };
-    let courses = (0..of.judged.len()).map(best).collect();
+    let one =
+        |k: usize, cycles: f64, trials: u64| learned(of, known, &of.judged[k], preview, (cycles, trials));
+    let courses = by_delay(of.judged.len(), of.stride > 1, one, |m: &Measures| m.integral_s)?;
     Ok(Row { name: name.into(), setting: format!("{} trials", trials(of)), search_s: 0.0, courses })
 }
 
@@ -48,7 +62,7 @@ fn learned(
     known: &Known,
     d: &Drive,
     preview: bool,
-    cycles: f64,
+    (cycles, trials): (f64, u64),
 ) -> Result<Measures, String> {
     let learning = Learning { gain: GAIN, half: HALF, preview };
     let changes: Vec<usize> = std::iter::once(0).chain(d.course.switches.iter().copied()).collect();
@@ -58,12 +72,12 @@ fn learned(
     let seed = of.judged_seed();
     let mut trace: Trace = play(&d.bed, seed, &d.course, &mut ours).map_err(|e| e.to_string())?;
     let mut fuel = trace.injection_mg.clone();
-    for trial in 1..=trials(of) {
+    for trial in 1..=trials {
         let error: Vec<f64> = trace.true_lambda.iter().map(|l| l - 1.0).collect();
         learning.correct(&mut fuel, &error, |t| late(&d.course, t), &changes);
         fuel.iter_mut().for_each(|q| *q = q.clamp(0.0, MOST_MG));
         // The last one is judged, so it has the disturbances of all controllers.
-        let seed = if trial < trials(of) { seed + 1000 * trial } else { seed };
+        let seed = if trial < trials { seed + 1000 * trial } else { seed };
         let mut played = Played { base: of.base(0.0)?, injection_mg: &fuel, at: 0 };
         trace = play(&d.bed, seed, &d.course, &mut played).map_err(|e| e.to_string())?;
     }

@@ -15,6 +15,7 @@ mod bed;
 mod boost;
 mod contest;
 mod cycles;
+mod engines;
 mod heating;
 mod judge;
 mod learned;
@@ -49,7 +50,7 @@ pub(super) const STUDY: Study = Study {
 };
 
 const MAP: &str = include_str!("../../../../examples/pfi_1_6l/map.toml");
-/// Seeds of the engine as it is, and engines like it.
+/// Seeds of the engine as it is, and engines like it; engines of another kind are in [`engines`].
 const SEEDS: u64 = 10;
 const OTHERS: u64 = 5;
 
@@ -75,12 +76,14 @@ fn tasks(o: &Options) -> Vec<Task> {
     let engines_of = |number: usize, engine: &str| {
         let own = (0..seeds).map(|k| (engine.to_string(), o.seed + k));
         let like = (1..=others).map(|k| (format!("perturbed:{engine}:{k}"), o.seed));
-        own.chain(like).map(|(engine, seed)| (number, engine, seed)).collect::<Vec<_>>()
+        let boosted = engine == boost::ENGINE && !o.reduced;
+        let unlike = engines::UNLIKE.iter().filter(|_| boosted).map(|e| (e.to_string(), o.seed));
+        own.chain(like).chain(unlike).map(|(engine, seed)| (number, engine, seed)).collect::<Vec<_>>()
     };
     let reduced = o.reduced;
     let task = |(scenario, engine, seed): (usize, String, u64)| {
         let name = format!("{scenario}-{}-{seed}", engine.replace(':', "-"));
-        let tried = json!([contest::LAGS_S, contest::AHEADS_S, contest::CLOSED_S]);
+        let tried = json!([contest::LAGS_S, contest::AHEADS_S, contest::CLOSED_S, learned::PROBED]);
         Task {
             name: name.clone(),
             inputs: json!([scenario, engine, seed, reduced, MAP, STARTS_C, tried]),

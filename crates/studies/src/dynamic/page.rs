@@ -51,7 +51,11 @@ fn mean_rows(cases: &[&Case]) -> Vec<Row> {
 }
 
 fn table(rows: &[Row], cases: &[&Case]) -> Table {
-    let mut head = vec![Column::text("Fuel by"), Column::text("Line search")];
+    let mut head = vec![
+        Column::text("Fuel by"),
+        Column::text("Line search"),
+        Column::number("its bed time", "s").digits(4),
+    ];
     let names = cases.iter().map(|c| &c.courses).find(|c| !c.is_empty());
     for name in names.into_iter().flatten() {
         head.push(Column::number(format!("{name}: integral"), "s").digits(3));
@@ -60,7 +64,7 @@ fn table(rows: &[Row], cases: &[&Case]) -> Table {
         head.push(Column::number("t90", "s").digits(3));
     }
     rows.iter().fold(Table::new(head), |t, r| {
-        let mut cells = vec![r.name.as_str().into(), r.setting.as_str().into()];
+        let mut cells = vec![r.name.as_str().into(), r.setting.as_str().into(), r.search_s.into()];
         for m in &r.courses {
             cells.extend([m.integral_s, m.spike(), m.offset, m.t90_s].map(Cell::from));
         }

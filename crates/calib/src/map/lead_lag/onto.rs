@@ -262,6 +262,7 @@ mod tests {
             region: vec![Interval::new(10.0, 90.0), Interval::new(1000.0, 3000.0)],
             others: Vec::new(),
             loss: vec![0.0],
+            steps: None,
             actuators: vec![ActuatorTables {
                 base: vec![-5.0; 36],
                 slopes: Vec::new(),

@@ -1,4 +1,5 @@
 use super::super::{ActuatorPort, Port};
+use super::search::{LONGEST_S, STEPS};
 use super::*;
 
 fn ports() -> Ports {
@@ -32,6 +33,7 @@ fn map(inj: impl Fn(f64, f64) -> f64) -> LeadLagMap {
         given,
         actuators,
         loss: Vec::new(),
+        steps: None,
     }
 }
 
@@ -146,4 +148,44 @@ fn a_leader_goes_ahead_where_its_plant_is_behind() {
     let way = narrow.drive(&rows, 0.03).column(1);
     let most = way.iter().copied().fold(0.0, f64::max);
     assert!((most - 0.2 * 90.0).abs() < 1e-9, "{most}: the tables rest at 18 at most");
+}
+
+#[test]
+fn tables_are_multiples_of_their_steps() {
+    let mut map = map(|t, n| 0.2123 * t + 1e-3 * n);
+    assert!(map.in_steps().is_none(), "nothing was asked for");
+    map.actuators[0].lag_s = vec![0.0971; 9];
+    map.steps = Some(Steps { actuators: vec![0.25, 0.0], lag_s: 0.02, rounding: Vec::new() });
+    let rounded = map.in_steps().unwrap();
+    let multiple = |v: f64, step: f64| ((v / step).round() - v / step).abs() < 1e-9;
+    assert!(rounded.actuators[0].base.iter().all(|v| multiple(*v, 0.25)));
+    assert!(rounded.actuators[0].lag_s.iter().all(|v| (v - 0.1).abs() < 1e-12));
+    // A slope of one step is a quarter of an mg over the range of lambda, 0.2.
+    assert!(rounded.actuators[0].slopes[0].iter().all(|v| multiple(*v, 0.25 / 0.2)));
+    // No step of the other one.
+    assert_eq!(rounded.actuators[1].base, map.actuators[1].base);
+    let range = map.actuators[0].base[8] - map.actuators[0].base[0];
+    let most = map.actuators[0].base.iter().zip(&rounded.actuators[0].base).map(|(a, b)| (a - b).abs());
+    let most = most.fold(0.0, f64::max);
+    let said = rounded.steps.as_ref().unwrap().rounding.clone();
+    assert!((said[0] - most / range).abs() < 1e-12 && most > 0.0 && most <= 0.125 && said[1] == 0.0);
+    // Once more changes nothing.
+    assert_eq!(rounded.in_steps().unwrap().actuators, rounded.actuators);
+}
+
+#[test]
+fn steps_of_nothing_are_refused() {
+    use super::super::structures::MapStructure;
+    let shape = |name: &str, step| LeadLagShape {
+        resolution: [(name.to_string(), step)].into(),
+        ..LeadLagShape::default()
+    };
+    let said = |shape: &LeadLagShape| {
+        let mut faults = Faults::default();
+        shape.check(&ports(), "invert.shape", &mut faults);
+        format!("{faults:?}")
+    };
+    assert!(said(&shape("spark", 0.5)).contains("invert.shape.resolution.spark"));
+    assert!(said(&shape("inj", -0.5)).contains("a step above 0"));
+    assert_eq!(said(&shape("inj", 0.5)), said(&LeadLagShape::default()));
 }

@@ -133,9 +133,11 @@ fn dynamics(map: &LeadLagMap) -> Table {
         Column::number("largest", "s").digits(3),
         Column::number("lead, share of the lag", "-").digits(3),
         Column::number("lost between breakpoints", "%").digits(3),
+        Column::number("rounded by", "%").digits(2),
     ])
-    .caption("Dynamics of the actuators, and the largest difference of their tables half-way between breakpoints from what they were made of (of the range of the table)");
-    for ((port, a), loss) in map.ports.actuators.iter().zip(&map.actuators).zip(&map.loss) {
+    .caption("Dynamics of the actuators, and the largest difference of their tables half-way between breakpoints from what they were made of and by rounding (of the range of the table)");
+    for (c, ((port, a), loss)) in map.ports.actuators.iter().zip(&map.actuators).zip(&map.loss).enumerate() {
+        let rounded = map.steps.as_ref().and_then(|s| s.rounding.get(c)).copied().unwrap_or(0.0);
         let lags = Interval::spanning(a.lag_s.iter().copied());
         table = table.row([
             label(&port.name).into(),
@@ -144,6 +146,7 @@ fn dynamics(map: &LeadLagMap) -> Table {
             lags.upper.into(),
             a.law.lead.into(),
             (100.0 * loss).into(),
+            (100.0 * rounded).into(),
         ]);
     }
     table

@@ -23,6 +23,14 @@ pub(super) fn section(
     ));
     section =
         section.block(promise(ctx, passes, fixed)).block(bars(&what, passes, fixed)).block(misses(passes));
+    let spec = &ctx.spec.optimise;
+    if let Some(most) = spec.within_points.filter(|_| passes.len() < spec.passes) {
+        section = section.text(format!(
+            "The last of {} passes was number {}: its optimum was measured within {most} points of its promise.",
+            spec.passes,
+            passes.len()
+        ));
+    }
     for p in passes {
         let models = p.models.chosen();
         section = section.heading(format!("Pass {}", p.pass));

@@ -39,6 +39,8 @@ const HOLD_S: f64 = 4.0;
 pub(super) const MOVES: usize = 1;
 /// Records: the first driver's, and those that ours drives with what it knows by then.
 pub(super) const RECORDS: usize = 3;
+/// Lags of the fuel at 2000 rpm that are tried for the map behind a lag, in s: boost makes long ones.
+const LAGS_S: [f64; 8] = [0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5];
 /// Greatest pressure of an extrapolation in kPa; pressure before a throttle that stands still.
 const MOST_KPA: f64 = 240.0;
 const AMBIENT_KPA: f64 = 101.325;
@@ -92,7 +94,9 @@ pub(super) fn tip((speed_rpm, [low, high]): (f64, [f64; 2])) -> Course {
 /// A fuel with what its line searches chose.
 #[derive(Clone, Copy)]
 enum Fuelled {
-    Demand,
+    Demand {
+        lag_s: f64,
+    },
     Ecu {
         at_rest: bool,
         ahead_s: f64,
@@ -257,7 +261,7 @@ impl Contest {
 
     fn fuel(&self, known: &Known, fuelled: Fuelled) -> Fuel {
         match fuelled {
-            Fuelled::Demand => Fuel::Demand,
+            Fuelled::Demand { lag_s } => Fuel::Demand { lag_s, behind: None },
             Fuelled::Policy { trimmed, waits } => {
                 let mut fuelling = known.fuelling.clone();
                 if waits {
@@ -310,8 +314,10 @@ impl Contest {
     ) -> Result<Vec<Row>, Ended> {
         let stride = if self.reduced { 3 } else { 1 };
         let ecu = |at_rest, ahead_s, closed_s| Fuelled::Ecu { at_rest, ahead_s, closed_s };
+        let lags = LAGS_S.iter().step_by(stride).map(|lag_s| Fuelled::Demand { lag_s: *lag_s }).collect();
         let mut all = vec![
-            ("fuel by demand".to_string(), production, Fuelled::Demand),
+            ("fuel by demand".to_string(), production, Fuelled::Demand { lag_s: 0.0 }),
+            ("fuel by demand, lag".into(), production, self.best(known, courses, production, lags)?),
             ("ECU".into(), production, ecu(true, 0.0, None)),
         ];
         for (at_rest, whose) in [(true, ""), (false, ", charge of ours")] {
@@ -374,6 +380,7 @@ fn words(fuelled: Fuelled) -> String {
     match fuelled {
         Fuelled::Ecu { ahead_s, closed_s: Some(c), .. } => format!("{ahead_s} s, loop {c} s"),
         Fuelled::Ecu { ahead_s, .. } => format!("{ahead_s} s"),
+        Fuelled::Demand { lag_s } if lag_s > 0.0 => format!("{lag_s} s"),
         _ => "-".into(),
     }
 }

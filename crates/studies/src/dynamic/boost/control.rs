@@ -23,7 +23,7 @@ const FLOW_PER_S: (f64, f64) = (1.0, 0.2);
 const TORQUE_PER_S: (f64, f64) = (0.4, 0.1);
 /// Boost that is missing at which the cams are wholly where they build it, in kPa.
 const BUILD_KPA: f64 = 20.0;
-/// Pressures between which the retard against knock comes, in kPa.
+/// Pressures, measured or asked for, between which the retard against knock comes, in kPa.
 const RETARD_KPA: (f64, f64) = (90.0, 130.0);
 /// Integral of the first driver's lambda loop per s, and its most.
 const LOOP_PER_S: (f64, f64) = (0.7, 0.3);
@@ -77,7 +77,9 @@ impl<'a> Path<'a> {
             self.wastegate(boosted, load_nm < FAR * demand_nm, by_torque(Of::Wastegate), missing_kpa);
         let build = if boosted { (missing_kpa / BUILD_KPA).clamp(0.0, 1.0) } else { 0.0 };
         let schedule = s.cams_deg(n, y.map_kpa);
-        let ramp = ((y.map_kpa - RETARD_KPA.0) / (RETARD_KPA.1 - RETARD_KPA.0)).clamp(0.0, 1.0);
+        // From the pedal on: the cycle that the spark is for has more air than the pressure that it is read at says.
+        let load_kpa = y.map_kpa.max(wanted_kpa);
+        let ramp = ((load_kpa - RETARD_KPA.0) / (RETARD_KPA.1 - RETARD_KPA.0)).clamp(0.0, 1.0);
         Command {
             injection_mg: 0.0,
             spark_deg: s.at(Of::Spark, Of::Map, y.map_kpa, n) - self.setting.retard_deg * ramp,
@@ -134,8 +136,11 @@ pub(super) enum Fuel {
     First {
         factor: f64,
     },
-    /// The steady map over the demand.
-    Demand,
+    /// The steady map over the demand, behind a lag of `lag_s` at 2000 rpm (0: none) that goes with the cycle.
+    Demand {
+        lag_s: f64,
+        behind: Option<f64>,
+    },
     Ecu(Box<SpeedDensityState>),
     /// Fuel that was learned, sample by sample.
     Played {
@@ -176,7 +181,14 @@ impl Controller for Driver<'_> {
                 *factor = (*factor + step).clamp(-LOOP_PER_S.1, LOOP_PER_S.1);
                 steady.at(Of::Fuel, Of::Map, y.map_kpa, n) * (1.0 + *factor)
             }
-            Fuel::Demand => steady.at(Of::Fuel, Of::Torque, torque_nm, n),
+            Fuel::Demand { lag_s, behind } => {
+                let asked = steady.at(Of::Fuel, Of::Torque, torque_nm, n);
+                let tau_s = *lag_s * 2000.0 / n;
+                let follow = if tau_s > 0.0 { -(-SAMPLE_S / tau_s).exp_m1() } else { 1.0 };
+                let behind = behind.get_or_insert(asked);
+                *behind += follow * (asked - *behind);
+                *behind
+            }
             Fuel::Played { injection_mg, at } => {
                 *at += 1;
                 injection_mg[(*at - 1).min(injection_mg.len() - 1)]

@@ -1,5 +1,6 @@
 //! What scenarios 3 and 4 ask.
 
+use super::super::engines::Group;
 use super::super::judge::judged;
 use super::contest::{OURS, PREPARED, Row, TIPS, UNTRIMMED, WAITS};
 use super::learned::POSSIBLE;
@@ -156,11 +157,11 @@ fn numbers() -> Vec<Number> {
 pub(in super::super) fn checks(results: &[TaskResult]) -> Vec<Check> {
     let all = cases(results);
     let mut checks = Vec::new();
-    for (own, suffix, words) in [(true, "", "mean of seeds"), (false, "-others", "worst of engines like it")]
-    {
+    for group in Group::ALL {
+        let (own, (suffix, words)) = (group == Group::Own, group.words());
         for n in numbers() {
             let found: Vec<Option<f64>> =
-                all.iter().filter(|c| (c.boosted == ENGINE) == own).map(|c| (n.of)(c)).collect();
+                all.iter().filter(|c| Group::of(ENGINE, &c.boosted) == group).map(|c| (n.of)(c)).collect();
             if own || !found.is_empty() {
                 let (id, what) = (format!("{}{suffix}", n.id), format!("{}, {words}", n.what));
                 checks.push(judged(&id, &what, n.asked, &found, !own));

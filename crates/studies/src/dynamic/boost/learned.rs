@@ -2,10 +2,9 @@
 //! says what mixture and emissions come to where lambda is all but held at 1; it bounds nothing.
 
 use dynocal_calib::fuelling::{FuelPolicy, Learning};
-use rayon::prelude::*;
 
 use super::super::bed::SAMPLE_S;
-use super::super::learned::{GAIN, HALF, LATE_CYCLES, SHORT, TRIALS};
+use super::super::learned::{GAIN, HALF, SHORT, TRIALS, by_delay};
 use super::bed::{Course, MOST_MG};
 use super::contest::{Contest, Known, Row, TIPS, tip};
 use super::control::{Fuel, Setting};
@@ -14,21 +13,11 @@ use super::measures::TipIn;
 /// Name of the row.
 pub(super) const POSSIBLE: &str = "learned on the tip-in itself";
 
-/// Learned fuel in all tip-ins; of the delays that are tried the one with the least integral counts.
+/// Learned fuel in all tip-ins.
 pub(super) fn row(of: &Contest, known: &Known, setting: Setting) -> Result<Row, String> {
-    let late = if of.reduced { &LATE_CYCLES[1..2] } else { &LATE_CYCLES[..] };
     let trials = if of.reduced { SHORT } else { TRIALS };
-    let tries: Vec<(usize, f64)> =
-        (0..TIPS.len()).flat_map(|k| late.iter().map(move |cycles| (k, *cycles))).collect();
-    let one =
-        |(k, cycles): &(usize, f64)| Ok((*k, learned(of, known, setting, &tip(TIPS[*k]), *cycles, trials)?));
-    let found: Vec<(usize, TipIn)> = tries.par_iter().map(one).collect::<Result<_, String>>()?;
-    let best = |k: usize| {
-        let of_it = found.iter().filter(|f| f.0 == k).map(|f| f.1);
-        let least = of_it.min_by(|a, b| a.integral_s.total_cmp(&b.integral_s));
-        least.ok_or_else(|| "no delay was tried".to_string())
-    };
-    let tips = (0..TIPS.len()).map(best).collect::<Result<_, _>>()?;
+    let one = |k: usize, cycles: f64, trials: u64| learned(of, known, setting, &tip(TIPS[k]), cycles, trials);
+    let tips = by_delay(TIPS.len(), of.reduced, one, |t: &TipIn| t.integral_s)?;
     Ok(Row { name: POSSIBLE.into(), words: format!("{trials} trials"), tips })
 }
 

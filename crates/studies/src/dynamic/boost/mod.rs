@@ -30,7 +30,7 @@ use contest::{Contest, Found};
 pub(super) const ENGINE: &str = "gtdi_2l";
 
 /// How a case is made: another number with every change of the procedure, so that results of another one are not taken over.
-const METHOD: usize = 3;
+const METHOD: usize = 6;
 /// What its result depends on beside engine, seed and length: records, the one whose cams are moved, halvings of the retard, the procedure.
 pub(super) const TRIED: [usize; 4] = [contest::RECORDS, contest::MOVES, search::HALVINGS, METHOD];
 

@@ -11,7 +11,7 @@ use super::control::{Fuel, PRODUCTION, Setting};
 
 /// Retards that are tried in deg, how often the way back to the one before is halved then, and the knock index that a tip-in may
 /// show: the onset less what other cycles may add.
-const RETARDS_DEG: [f64; 8] = [0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0];
+const RETARDS_DEG: [f64; 12] = [0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0];
 pub(super) const HALVINGS: usize = 2;
 const KNOCK: f64 = 0.95;
 /// Wastegate at rest that is tried, in mm, widest first, and moves of the cams in deg.
