@@ -91,17 +91,22 @@ fn a_model_too_poor_is_refused_unless_forced() {
 fn a_record_that_breaks_a_limit_is_stopped_kept_and_resumed() {
     let tmp = tempfile::tempdir().unwrap();
     let abort = |upper: f64| {
-        let table = format!("[[abort]]\noutput = \"torque\"\nunit = \"Nm\"\nupper = {upper:?}\n\n[excite]\n");
+        // Given gains: the records come first.
+        let loops = "[[loops]]\noutput = \"torque\"\ninput = \"throttle\"\ngains = { ki = 0.3, kp = 0.2 }\n\n\
+                     [[loops]]\noutput = \"lambda\"\ninput = \"inj\"\ngains = { ki = -40.0, kp = -8.0 }\n\n";
+        let table = format!(
+            "{loops}[[abort]]\noutput = \"torque\"\nunit = \"Nm\"\nupper = {upper:?}\nmargin = 2.0\n\n[excite]\n"
+        );
         shortest(tmp.path(), "spec.toml", &[("[excite]\n", &table)])
     };
-    let spec = abort(45.0);
+    let spec = abort(70.0);
     let args = ["calibrate", spec.to_str().unwrap(), "--until", "excite", "--out", "run"];
     let out = dynocal(tmp.path(), &args);
-    assert!(
-        out.code != 0 && out.stderr.contains("torque") && out.stderr.contains(".stopped.csv"),
-        "{}",
-        out.stderr
-    );
+    let said = "begins beyond a limit of [[abort]]: torque is 71.13 there, 70.00 at most is allowed";
+    assert!(out.code != 0 && out.stderr.contains(said), "{}", out.stderr);
+    abort(88.0);
+    let out = dynocal(tmp.path(), &args);
+    assert!(out.code != 0 && out.stderr.contains(".stopped.csv"), "{} {}", out.code, out.stderr);
     let excite = tmp.path().join("run/steps/01-excite");
     let kept: Vec<PathBuf> = std::fs::read_dir(&excite)
         .unwrap()
@@ -111,7 +116,7 @@ fn a_record_that_breaks_a_limit_is_stopped_kept_and_resumed() {
     assert!(!kept.is_empty(), "{}", out.stderr);
     let record = dynocal_files::csv_io::read(&kept[0]).unwrap();
     let torque = record.numbers("torque", 0, record.rows()).unwrap();
-    assert!(!torque.is_empty() && torque.iter().all(|t| *t <= 45.0), "{torque:?}");
+    assert!(!torque.is_empty() && torque.iter().all(|t| *t <= 88.0), "{torque:?}");
     abort(400.0);
     let out = dynocal(tmp.path(), &args);
     assert_eq!(out.code, 0, "{}", out.stderr);
@@ -159,4 +164,29 @@ fn passes_end_when_they_agree_and_tables_keep_their_steps() {
     );
     let out = dynocal(tmp.path(), &["calibrate", wrong.to_str().unwrap(), "--check"]);
     assert!(out.code == 2 && out.stderr.contains("invert.shape.resolution.injection"), "{}", out.stderr);
+}
+
+/// A network competes with the polynomials on the record that chooses, over the same lags.
+#[test]
+fn networks_compete_where_they_are_asked_for() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = |family: &str| {
+        let families = format!("[identify]\nfamilies = [\"{family}\"]\n");
+        shortest(tmp.path(), "spec.toml", &[("[identify]\n", &families)])
+    };
+    let path = spec("neutral");
+    let out = dynocal(tmp.path(), &["calibrate", path.to_str().unwrap(), "--check"]);
+    assert!(out.code == 2 && out.stderr.contains("identify.families"), "{}", out.stderr);
+    assert!(out.stderr.contains("neural"), "{}", out.stderr);
+    spec("neural");
+    let out =
+        dynocal(tmp.path(), &["calibrate", path.to_str().unwrap(), "--until", "identify", "--out", "run"]);
+    assert!(out.code < 2, "{}", out.stderr);
+    let summary = json(&tmp.path().join("run/summary.json"));
+    for of in summary["models"].as_array().unwrap() {
+        let candidates = of["candidates"].as_array().unwrap();
+        let r2 = |c: &Value| c["unseen_r2"].as_f64().unwrap_or(f64::NEG_INFINITY);
+        let neural = candidates.iter().find(|c| c["name"].as_str().unwrap().contains("neural")).unwrap();
+        assert!(candidates.len() > 1 && r2(neural) > 0.5, "{of}");
+    }
 }

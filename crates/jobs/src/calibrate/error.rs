@@ -64,6 +64,20 @@ pub enum ChainError {
         /// File with what was measured.
         kept: String,
     },
+    /// A record whose first point is beyond a limit already.
+    #[error(
+        "the record `{record}` begins beyond a limit of [[abort]]: {output} is {found} there, {allowed} is allowed. Narrow `excite.ranges` or `design`, or move the limit"
+    )]
+    BeginsBeyond {
+        /// Record.
+        record: String,
+        /// Output.
+        output: String,
+        /// Its value at the first point.
+        found: String,
+        /// What the limit allows, in words.
+        allowed: String,
+    },
     /// A real bed must measure first.
     #[error(
         "{} wait to be run on the bed:\n{}\nPut each measured record at the path that stands beside it, with the channels {channels}, and start again: finished steps are kept (docs/bed.md)",

@@ -12,8 +12,9 @@ use dynocal_files::{FilesError, units};
 use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::plan::{Plan, demand_name};
 use dynocal_ident::plant::{Causality, Plant};
-use dynocal_ident::play::{self, RecordFault, RecordTolerance};
+use dynocal_ident::play::{self, PlayError, RecordFault, RecordTolerance};
 use dynocal_ident::stored::{StoredError, StoredModel};
+use dynocal_report::significant;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -85,7 +86,7 @@ impl Context<'_> {
         let mut watchdog = supervisor::for_plan(plan, &predictors);
         let mut asked = plan.clone();
         asked.outputs.extend(self.meters_of(plant).into_iter().map(|m| m.name));
-        let played = play::play(plant, &asked, &mut watchdog)?;
+        let played = play::play(plant, &asked, &mut watchdog).map_err(|e| begins_beyond(plan, e))?;
         if let Some(stop) = played.stop {
             let kept = folder.join(format!("{}.stopped.csv", plan.name));
             csv_io::write_dataset(&kept, &played.record)?;
@@ -291,4 +292,16 @@ pub fn save_records(folder: &Path, records: &[Dataset]) -> Result<Vec<RecordRef>
             Ok(RecordRef { name: r.name.clone(), file, origin: r.origin.clone() })
         })
         .collect()
+}
+
+/// A record that begins where it may not says which one, and what to change.
+fn begins_beyond(plan: &Plan, e: PlayError) -> ChainError {
+    let PlayError::Unsafe { output, value, lower, upper } = e else { return e.into() };
+    let of = |v: f64| significant(v, 4);
+    let allowed = match (lower.is_finite(), upper.is_finite()) {
+        (true, true) => format!("{} to {}", of(lower), of(upper)),
+        (true, false) => format!("{} at least", of(lower)),
+        _ => format!("{} at most", of(upper)),
+    };
+    ChainError::BeginsBeyond { record: plan.name.clone(), output, found: of(value), allowed }
 }
