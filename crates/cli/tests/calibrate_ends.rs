@@ -71,7 +71,7 @@ fn a_model_too_poor_is_refused_unless_forced() {
     let given = [("[excite]\n", given), ("[design]\n", "[design]\nenabled = false\n")];
     let poor = shortest(tmp.path(), "poor.toml", &given);
     let out = dynocal(tmp.path(), &["calibrate", poor.to_str().unwrap(), "--out", "poor"]);
-    let said = "No optimum is sought: the torque model is worse than the mean of its output: free-run R2 -";
+    let said = "No optimum is sought on these models: the torque model is worse than the mean of its output: free-run R2 -";
     assert!(out.code == 1 && out.stderr.contains(said), "{} {}", out.code, out.stderr);
     let summary = json(&tmp.path().join("poor/summary.json"));
     assert_eq!(summary["valid"], Value::Bool(false));
@@ -84,6 +84,17 @@ fn a_model_too_poor_is_refused_unless_forced() {
         dynocal(tmp.path(), &["calibrate", forced.to_str().unwrap(), "--until", "optimise", "--out", "poor"]);
     assert!(!out.stderr.contains("No optimum is sought"), "{}", out.stderr);
     assert!(tmp.path().join("poor/steps/04-optimise").exists(), "{}", out.stderr);
+
+    // What a forced run left behind is no result of the run that is refused.
+    let stale = tmp.path().join("poor/steps/05-invert");
+    std::fs::create_dir_all(&stale).unwrap();
+    atomic::write(&stale.join("dynamic_map.json"), b"{}").unwrap();
+    let again = dynocal(tmp.path(), &["calibrate", poor.to_str().unwrap(), "--out", "poor"]);
+    assert!(again.code == 1 && again.stderr.matches("No optimum is sought").count() == 2, "{}", again.stderr);
+    let taken = dynocal(tmp.path(), &["export", "poor", "--to", "csv", "--out", "taken"]);
+    assert!(!taken.stderr.contains("dynamic_map"), "{}", taken.stderr);
+    let left: Vec<_> = std::fs::read_dir(tmp.path().join("taken")).into_iter().flatten().flatten().collect();
+    assert!(left.iter().all(|f| !f.file_name().to_string_lossy().contains("map")), "{left:?}");
 }
 
 /// A record ends before an output passes its limit; what was measured is kept, and the next start with a wider limit goes on.
@@ -102,7 +113,7 @@ fn a_record_that_breaks_a_limit_is_stopped_kept_and_resumed() {
     let spec = abort(70.0);
     let args = ["calibrate", spec.to_str().unwrap(), "--until", "excite", "--out", "run"];
     let out = dynocal(tmp.path(), &args);
-    let said = "begins beyond a limit of [[abort]]: torque is 71.13 there, 70.00 at most is allowed";
+    let said = "begins beyond a limit of [[abort]]: torque is 71.13 Nm at its first point, allowed is at most 70.00 Nm";
     assert!(out.code != 0 && out.stderr.contains(said), "{}", out.stderr);
     abort(88.0);
     let out = dynocal(tmp.path(), &args);

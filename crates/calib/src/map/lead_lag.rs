@@ -52,7 +52,7 @@ pub(super) const ROW: MapRow = MapRow {
                 name: "resolution",
                 unit: "of the actuator",
                 default: "none",
-                what: "by actuator: its tables hold multiples of this",
+                what: "by actuator: its base table holds multiples of this, slopes are steps that make as much over the range of their reference",
             },
             ParamDoc {
                 name: "lag_resolution_s",
@@ -147,7 +147,7 @@ pub struct Steps {
     pub actuators: Vec<f64>,
     /// Step of the lags in s; 0: none.
     pub lag_s: f64,
-    /// Largest change of each base table, as a share of its range; nothing before it is rounded.
+    /// Largest change of what the tables of each actuator say, as a share of the range of its base table; nothing before they are rounded.
     pub rounding: Vec<f64>,
 }
 

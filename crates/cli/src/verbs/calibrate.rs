@@ -46,7 +46,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     match progress.during(|watch| job::run(&campaign, until, watch)) {
         Ok(done) => {
             show(&args.common, &campaign, &done, own)?;
-            exported(&campaign, until, args.common.quiet)?;
+            exported(&campaign, done.result.invert.is_some(), args.common.quiet)?;
             Ok(exit(done.valid))
         }
         // The campaign is not over: a bed has to run a plan first.
@@ -59,10 +59,9 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
 }
 
 /// Does what `[export]` asks for, once there are maps.
-fn exported(campaign: &Campaign, until: &str, quiet: bool) -> Result<(), Failure> {
+fn exported(campaign: &Campaign, has_map: bool, quiet: bool) -> Result<(), Failure> {
     let Some(export) = &campaign.spec.export else { return Ok(()) };
-    let place = |name: &str| STEPS.iter().position(|s| *s == name);
-    if place(until) < place("invert") {
+    if !has_map {
         say("[export]: nothing leaves before the step invert, which makes the map");
         return Ok(());
     }

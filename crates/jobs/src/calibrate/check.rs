@@ -245,7 +245,7 @@ fn lengths(s: &CalibrateSpec, faults: &mut Faults) {
 }
 
 /// Times that may be zero.
-const MAY_BE_ZERO: [&str; 3] = ["dwell_s", "ramp_s", "lead_in_s"];
+const MAY_BE_ZERO: [&str; 4] = ["dwell_s", "ramp_s", "lead_in_s", "lag_resolution_s"];
 
 /// Durations, recognised by their names, so that a new key of any step is checked too.
 fn numbers(table: &toml::Table, path: &str, faults: &mut Faults) {

@@ -66,7 +66,7 @@ pub enum ChainError {
     },
     /// A record whose first point is beyond a limit already.
     #[error(
-        "the record `{record}` begins beyond a limit of [[abort]]: {output} is {found} there, {allowed} is allowed. Narrow `excite.ranges` or `design`, or move the limit"
+        "the record `{record}` begins beyond a limit of [[abort]]: {output} is {found} at its first point, allowed is {allowed}. Narrow the ranges of the step that makes it (`excite.ranges`, `design`, `optimise.ranges`), or move the limit"
     )]
     BeginsBeyond {
         /// Record.

@@ -16,29 +16,35 @@ pub(super) fn refused(spec: &CalibrateSpec, models: &ModelsResult) -> Option<Str
     let of_demands = models.outputs.iter().filter(|o| demanded.contains(&o.output));
     let poor: Vec<String> =
         of_demands.filter_map(|o| Some(format!("the {} model {}", o.output, fault(o.best())?))).collect();
+    let keys = match spec.excite.identification_files.is_empty() {
+        true => "`excite.identification_records`, `excite.record_s`, `excite.signal`",
+        false => "`excite.identification_files`",
+    };
     (!poor.is_empty()).then(|| {
         format!(
-            "No optimum is sought: {}. The campaign needs more of its records, or others (`excite.identification_records`, `excite.record_s`, `excite.signal`); `optimise.force = true` goes on with these models.",
+            "No optimum is sought on these models: {}. They need more records, or others ({keys}); `optimise.force = true` goes on with them.",
             poor.join("; ")
         )
     })
 }
 
 fn fault(c: &Candidate) -> Option<String> {
-    let unseen: Vec<Option<f64>> =
-        c.scores.iter().filter(|s| s.data == Seen::Unseen && !s.chooses).map(|s| s.r2).collect();
-    let ran: Vec<f64> = unseen.iter().flatten().copied().collect();
-    if unseen.is_empty() {
-        return None;
+    let mut unseen = c.scores.iter().filter(|s| s.data == Seen::Unseen && !s.chooses).peekable();
+    match c.unseen_r2 {
+        Some(r2) => worse_than_mean(r2),
+        None if unseen.peek().is_some() && unseen.all(|s| s.r2.is_none()) => {
+            Some("runs away on all unseen records".into())
+        }
+        None => None,
     }
-    if ran.is_empty() {
-        return Some("runs away on all unseen records".into());
-    }
-    let mean = ran.iter().sum::<f64>() / ran.len() as f64;
-    (mean < 0.0).then(|| {
+}
+
+/// What is said of a model that says less of unseen records than the mean of its output.
+pub(super) fn worse_than_mean(r2: f64) -> Option<String> {
+    (r2 < 0.0).then(|| {
         format!(
             "is worse than the mean of its output: free-run R2 {} % on unseen records",
-            significant(100.0 * mean, 3)
+            significant(100.0 * r2, 3)
         )
     })
 }

@@ -9,7 +9,7 @@ use dynocal_files::csv_io;
 use dynocal_files::dataset;
 use dynocal_files::measurement;
 use dynocal_files::{FilesError, units};
-use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::data::{Channel, Dataset, Role, UnitAfter};
 use dynocal_ident::plan::{Plan, demand_name};
 use dynocal_ident::plant::{Causality, Plant};
 use dynocal_ident::play::{self, PlayError, RecordFault, RecordTolerance};
@@ -86,7 +86,9 @@ impl Context<'_> {
         let mut watchdog = supervisor::for_plan(plan, &predictors);
         let mut asked = plan.clone();
         asked.outputs.extend(self.meters_of(plant).into_iter().map(|m| m.name));
-        let played = play::play(plant, &asked, &mut watchdog).map_err(|e| begins_beyond(plan, e))?;
+        let played = play::play(plant, &asked, &mut watchdog).map_err(|e| {
+            begins_beyond(plan, |output| self.spec.problem.unit(output).unwrap_or("-").to_string(), e)
+        })?;
         if let Some(stop) = played.stop {
             let kept = folder.join(format!("{}.stopped.csv", plan.name));
             csv_io::write_dataset(&kept, &played.record)?;
@@ -294,14 +296,14 @@ pub fn save_records(folder: &Path, records: &[Dataset]) -> Result<Vec<RecordRef>
         .collect()
 }
 
-/// A record that begins where it may not says which one, and what to change.
-fn begins_beyond(plan: &Plan, e: PlayError) -> ChainError {
+/// A record that begins where it may not says which one, and what to change; `unit` of an output.
+fn begins_beyond(plan: &Plan, unit: impl Fn(&str) -> String, e: PlayError) -> ChainError {
     let PlayError::Unsafe { output, value, lower, upper } = e else { return e.into() };
-    let of = |v: f64| significant(v, 4);
+    let of = |v: f64| format!("{}{}", significant(v, 4), UnitAfter(&unit(&output)));
     let allowed = match (lower.is_finite(), upper.is_finite()) {
         (true, true) => format!("{} to {}", of(lower), of(upper)),
-        (true, false) => format!("{} at least", of(lower)),
-        _ => format!("{} at most", of(upper)),
+        (true, false) => format!("at least {}", of(lower)),
+        _ => format!("at most {}", of(upper)),
     };
-    ChainError::BeginsBeyond { record: plan.name.clone(), output, found: of(value), allowed }
+    ChainError::BeginsBeyond { record: plan.name.clone(), found: of(value), output, allowed }
 }

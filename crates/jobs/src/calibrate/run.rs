@@ -10,6 +10,7 @@ use super::models::{ModelData, ModelsResult, identify_all, save_models};
 use super::optimise_step::{OptimiseResult, Pass, optimise};
 use super::poor;
 use super::records::RecordRef;
+use super::spec::OptimiseSpec;
 use super::validate_step::{ValidateResult, validate};
 use dynocal_files::json;
 use dynocal_files::run_folder::{Done, RunFolder};
@@ -113,7 +114,9 @@ pub fn run(
         if *step == "optimise"
             && let Some(why) = result.design.as_ref().and_then(|d| poor::refused(ctx.spec, &d.result.models))
         {
-            ctx.watch.note(&why);
+            if how == How::Run {
+                ctx.watch.note(&why);
+            }
             break;
         }
         let found = match *step {
@@ -298,7 +301,9 @@ fn step_optimise(
     let design = needed(&result.design, "design")?;
     let files: Vec<&PathBuf> = ctx.spec.optimise.start_maps.iter().flat_map(|m| &m.files).collect();
     let before = format!("{}{}", design.digest, digests(&files)?.concat());
-    let inputs = (&ctx.spec.optimise, &ctx.spec.identify, &ctx.spec.excite, &before);
+    // Whether it is sought at all is no input of what is found.
+    let optimise_spec = OptimiseSpec { force: false, ..ctx.spec.optimise.clone() };
+    let inputs = (&optimise_spec, &ctx.spec.identify, &ctx.spec.excite, &before);
     run_step(ctx, folder, how, "optimise", &inputs, |path| {
         let r = all_identification(ctx, result)?;
         let done = optimise(ctx, path, &design.result.models, &r.identification, &r.validation)?;

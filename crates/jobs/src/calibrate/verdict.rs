@@ -16,7 +16,7 @@ use dynocal_calib::validate::{MOST_OFFSET, MapScore, spent_input};
 use dynocal_ident::data::UnitAfter;
 use dynocal_numerics::status::Status;
 use dynocal_report::{capital, significant, with_unit};
-use rivals::{beaten, beyond_reference, left_with, of_static, out_of_reach, static_saves_more};
+use rivals::{beaten, beyond_reference, left_with, of_static, out_of_reach, rounded_far, static_saves_more};
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
@@ -58,9 +58,10 @@ impl Findings {
 pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     let mut f = Findings { faults: Vec::new(), notes: Vec::new(), status: Status::Converged };
     excitation(r, &mut f);
-    if let (Some(d), None) = (&r.design, &r.optimise)
-        && let Some(why) = poor::refused(spec, &d.result.models)
-    {
+    let last = r.design.as_ref().filter(|_| r.optimise.is_none());
+    let refused = last.and_then(|d| poor::refused(spec, &d.result.models));
+    let told = refused.is_some();
+    if let Some(why) = refused {
         f.fault(Status::Stalled, why);
     }
     passes(spec, r, &mut f);
@@ -70,7 +71,8 @@ pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
         f.notes.extend(beyond_reference(&v.result));
     }
     design(spec, r, &mut f);
-    models(r, &mut f);
+    models(r, told, &mut f);
+    f.notes.extend(rounded_far(r));
     f.notes.extend(unread_boost(spec, r));
     if let Some(i) = &r.invert {
         f.notes.extend(i.result.left_out.iter().map(|l| format!("Left out of the map: {l}.")));
@@ -305,7 +307,8 @@ fn design(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
     }
 }
 
-fn models(r: &ChainResult, f: &mut Findings) {
+/// `told`: those that no optimum is sought on are named already.
+fn models(r: &ChainResult, told: bool, f: &mut Findings) {
     let all = stages(r);
     let last = all.last().map(|(stage, _)| stage.clone());
     for (stage, m) in &all {
@@ -322,12 +325,9 @@ fn models(r: &ChainResult, f: &mut Findings) {
                     o.output
                 ));
             }
-            if let Some(r2) = best.unseen_r2.filter(|r2| *r2 < 0.0) {
-                let text = format!(
-                    "The {} model of the step {stage} is worse than the mean of its output: free-run R2 {} % on unseen records.",
-                    o.output,
-                    significant(100.0 * r2, 3)
-                );
+            if let Some(worse) = best.unseen_r2.and_then(poor::worse_than_mean).filter(|_| !(told && decides))
+            {
+                let text = format!("The {} model of the step {stage} {worse}.", o.output);
                 if decides { f.fault(Status::Stalled, text) } else { f.notes.push(text) }
             }
             if !best.status.is_success() && decides {

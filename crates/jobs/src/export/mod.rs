@@ -196,7 +196,8 @@ fn packages(source: &Path, spec: &ExportSpec) -> Result<Vec<Made>, ExportJobErro
     let mut found: Vec<PathBuf> = Vec::new();
     let steps = source.join("steps");
     let entries = |f: &Path| std::fs::read_dir(f).into_iter().flatten().flatten().map(|e| e.path());
-    for step in entries(&steps).filter(|p| p.is_dir()) {
+    let of_run = finished_steps(source);
+    for step in entries(&steps).filter(|p| p.is_dir() && of_run.as_ref().is_none_or(|names| of(p, names))) {
         found.extend(entries(&step).filter(|p| p.is_file() && wanted(p)));
     }
     found.sort();
@@ -210,6 +211,18 @@ fn packages(source: &Path, spec: &ExportSpec) -> Result<Vec<Made>, ExportJobErro
         return Err(ExportJobError::source(source, reason));
     }
     found.iter().map(|p| of_file(p, spec)).collect()
+}
+
+/// Names of the steps that belong to a run, by its summary: folders of others are left from an earlier spec. None where it does not say.
+fn finished_steps(run: &Path) -> Option<Vec<String>> {
+    let summary: Value = serde_json::from_slice(&std::fs::read(run.join("summary.json")).ok()?).ok()?;
+    Some(summary.get("steps")?.as_array()?.iter().filter_map(|s| s.as_str().map(str::to_string)).collect())
+}
+
+/// Whether the folder `NN-NAME` is of one of the steps.
+fn of(folder: &Path, names: &[String]) -> bool {
+    let name = file_name(folder);
+    names.iter().any(|n| name.split_once('-').is_some_and(|(_, step)| step == n))
 }
 
 fn file_name(path: &Path) -> String {

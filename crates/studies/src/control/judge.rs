@@ -292,6 +292,8 @@ pub(super) fn interval(values: &[f64], unit: &str) -> String {
 fn ends(values: &[f64]) -> Option<(f64, f64)> {
     let found = Spread::of(values, 0.95);
     match values.len() {
+        // A mean of what is a number alone would hide the rest.
+        n if n != found.count => None,
         0 => None,
         1 => Some((found.mean, found.mean)),
         _ => Some((found.low, found.high)),

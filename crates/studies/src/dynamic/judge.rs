@@ -45,11 +45,13 @@ fn ratio(case: &Case, name: &str, course: usize, of: Of, against: Against) -> Op
     Some(value(case, name, course, of)? / best)
 }
 
-/// Mean of the seeds with its interval of nineteen of twenty in words, and whether all of that interval keeps what is asked; the worst of engines.
+/// Mean of the seeds, with its interval of nineteen of twenty in words where that reaches beyond a most that the mean keeps; the worst of engines.
+/// No number where one of them is none.
 pub(super) fn judged(id: &str, what: &str, asked: Asked, ratios: &[Option<f64>], worst: bool) -> Check {
     let all: Option<Vec<f64>> = ratios.iter().copied().collect();
     let all = all.filter(|a| !a.is_empty());
-    let spread = all.as_ref().map(|a| Spread::of(a, 0.95));
+    let finite = all.as_ref().filter(|a| a.iter().all(|v| v.is_finite()));
+    let spread = finite.map(|a| Spread::of(a, 0.95));
     let measured = if worst { asked.worst(ratios) } else { spread.as_ref().map(|s| s.mean) };
     let note = match (&all, spread) {
         (Some(a), Some(s)) if a.len() > 1 => {

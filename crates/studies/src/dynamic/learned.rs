@@ -83,3 +83,21 @@ fn learned(
     }
     Ok(Measures::of(&trace, &d.course))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The delay whose few trials leave least goes on alone, for each record its own; at reduced length one is tried.
+    #[test]
+    fn the_best_delay_goes_on() {
+        let wanted = [1.5, 0.75];
+        let one = |k: usize, cycles: f64, trials: u64| Ok((k, cycles, trials));
+        let left = |t: &(usize, f64, u64)| (t.1 - wanted[t.0]).abs();
+        let full = by_delay(2, false, one, left).unwrap();
+        assert_eq!(full, [(0, 1.5, TRIALS), (1, 0.75, TRIALS)]);
+        assert_eq!(by_delay(1, true, one, left).unwrap(), [(0, LATE_CYCLES[1], SHORT)]);
+        let failed = by_delay(1, false, |_, _, _| Err::<(usize, f64, u64), _>("stalled".to_string()), left);
+        assert_eq!(failed.unwrap_err(), "stalled");
+    }
+}

@@ -185,7 +185,8 @@ fn filled(case: &mut Case, reduced: bool, around: &Surroundings) -> Result<(), E
 /// The static map of the job `map`, over the range of the scenario. The first two share engine and range, and so the run.
 fn static_map(scenario: &Scenario, case: &Case, around: &Surroundings) -> Result<(StaticMap, f64), Ended> {
     let fail = Ended::Failed;
-    let out = around.runs.join(format!("map-{}-{}", case.engine.replace(':', "-"), case.seed));
+    let real = if scenario.real { "-real" } else { "" };
+    let out = around.runs.join(format!("map-{}-{}{real}", case.engine.replace(':', "-"), case.seed));
     let over = Overrides { seed: Some(case.seed), out: Some(out.clone()) };
     let mut job = map::job::parse("map.toml", MAP, &over).map_err(|e| fail(e.to_string()))?;
     scenario.range(&case.engine, &mut job.spec);

@@ -164,11 +164,21 @@ fn tables_are_multiples_of_their_steps() {
     assert!(rounded.actuators[0].slopes[0].iter().all(|v| multiple(*v, 0.25 / 0.2)));
     // No step of the other one.
     assert_eq!(rounded.actuators[1].base, map.actuators[1].base);
+    // By what the base changes, and the slopes at the far end of lambda, 0.1 from its rest.
     let range = map.actuators[0].base[8] - map.actuators[0].base[0];
-    let most = map.actuators[0].base.iter().zip(&rounded.actuators[0].base).map(|(a, b)| (a - b).abs());
+    let slope = (rounded.actuators[0].slopes[0][0] + 20.0).abs() * 0.1;
+    let most =
+        map.actuators[0].base.iter().zip(&rounded.actuators[0].base).map(|(a, b)| (a - b).abs() + slope);
     let most = most.fold(0.0, f64::max);
     let said = rounded.steps.as_ref().unwrap().rounding.clone();
-    assert!((said[0] - most / range).abs() < 1e-12 && most > 0.0 && most <= 0.125 && said[1] == 0.0);
+    assert!((said[0] - most / range).abs() < 1e-12 && most > 0.0 && said[1] == 0.0, "{said:?}");
+    // In decimals, and inside the limits of the actuator.
+    map.steps = Some(Steps { actuators: vec![0.05, 0.0], lag_s: 0.05, rounding: Vec::new() });
+    (map.actuators[0].base[0], map.actuators[0].lag_s[0]) = (0.349, 0.151);
+    let rounded = map.in_steps().unwrap();
+    assert_eq!((rounded.actuators[0].base[0], rounded.actuators[0].lag_s[0]), (0.35, 0.15));
+    map.ports.actuators[0].lower = 0.36;
+    assert_eq!(map.in_steps().unwrap().actuators[0].base[0], 0.4);
     // Once more changes nothing.
     assert_eq!(rounded.in_steps().unwrap().actuators, rounded.actuators);
 }
@@ -186,6 +196,8 @@ fn steps_of_nothing_are_refused() {
         format!("{faults:?}")
     };
     assert!(said(&shape("spark", 0.5)).contains("invert.shape.resolution.spark"));
-    assert!(said(&shape("inj", -0.5)).contains("a step above 0"));
+    for step in [-0.5, 0.0, f64::NAN, 1e-320, 1e300] {
+        assert!(said(&shape("inj", step)).contains("a millionth and a tenth of its range"), "{step}");
+    }
     assert_eq!(said(&shape("inj", 0.5)), said(&LeadLagShape::default()));
 }

@@ -126,28 +126,32 @@ fn at_rest(section: Section, i: &InvertResult) -> Section {
 
 /// Lags and leads.
 fn dynamics(map: &LeadLagMap) -> Table {
-    let mut table = Table::new(vec![
+    let mut head = vec![
         Column::text("Actuator"),
         Column::number("lag in the middle", "s").digits(3),
         Column::number("least", "s").digits(3),
         Column::number("largest", "s").digits(3),
         Column::number("lead, share of the lag", "-").digits(3),
         Column::number("lost between breakpoints", "%").digits(3),
-        Column::number("rounded by", "%").digits(2),
-    ])
+    ];
+    if map.steps.is_some() {
+        head.push(Column::number("rounded by", "%").digits(2));
+    }
+    let mut table = Table::new(head)
     .caption("Dynamics of the actuators, and the largest difference of their tables half-way between breakpoints from what they were made of and by rounding (of the range of the table)");
     for (c, ((port, a), loss)) in map.ports.actuators.iter().zip(&map.actuators).zip(&map.loss).enumerate() {
-        let rounded = map.steps.as_ref().and_then(|s| s.rounding.get(c)).copied().unwrap_or(0.0);
+        let rounded = map.steps.as_ref().and_then(|s| s.rounding.get(c));
         let lags = Interval::spanning(a.lag_s.iter().copied());
-        table = table.row([
+        let mut cells: Vec<Cell> = vec![
             label(&port.name).into(),
             a.law.tau_s.into(),
             lags.lower.into(),
             lags.upper.into(),
             a.law.lead.into(),
             (100.0 * loss).into(),
-            (100.0 * rounded).into(),
-        ]);
+        ];
+        cells.extend(rounded.map(|r| Cell::from(100.0 * r)));
+        table = table.row(cells);
     }
     table
 }

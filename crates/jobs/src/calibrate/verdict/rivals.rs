@@ -3,6 +3,7 @@
 use super::super::run::ChainResult;
 use super::super::validate_step::ValidateResult;
 use dynocal_calib::limits::LimitScore;
+use dynocal_calib::map::MapForm;
 use dynocal_calib::validate::{DemandScore, MapScore};
 use dynocal_report::{significant, with_unit};
 
@@ -173,4 +174,27 @@ mod tests {
         .collect();
         assert!(places.windows(2).all(|p| p[0] < p[1]), "{words}");
     }
+}
+
+/// Rounding of a table by so much of its range that it is worth a warning.
+const ROUNDED: f64 = 0.05;
+
+/// Tables that their resolution moves far.
+pub(super) fn rounded_far(r: &ChainResult) -> Vec<String> {
+    let Some(i) = &r.invert else { return Vec::new() };
+    let MapForm::Tables(map) = i.result.dynamic.form() else { return Vec::new() };
+    let rounding = map.steps.iter().flat_map(|s| &s.rounding);
+    map.ports
+        .actuators
+        .iter()
+        .zip(rounding)
+        .filter(|(_, by)| **by > ROUNDED)
+        .map(|(a, by)| {
+            format!(
+                "The resolution of {} changes what its tables say by up to {} % of their range.",
+                a.name,
+                significant(100.0 * by, 2)
+            )
+        })
+        .collect()
 }
