@@ -18,7 +18,7 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
         }
         let words = "Means over the cases, each controller as its line searches tuned it on the records of the case. Integral: of \
             |lambda - 1| per step of 6 s; spike: the largest |lambda - 1|; offset: the largest mean error over the last 1.5 s of a step. What is possible \
-            is no controller: its fuel was learned by 14 trials on the judged course itself, by the true mixture, without preparing for \
+            is no controller: its fuel was learned by 14 trials on the judged course itself (with the delay that did best in four), by the true mixture, without preparing for \
             a demand that has not come, and with it. From that with preview to that without is the price of causality, from there to \
             ours that of not knowing.";
         let mut section = Section::new(title).text(words).block(table(&mean_rows(&of_it), &of_it));
