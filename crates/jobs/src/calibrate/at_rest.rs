@@ -20,6 +20,9 @@ pub struct AtRest {
     pub points: Vec<SteadyPoint>,
     /// Points that had not come to rest and were left out.
     pub restless: usize,
+    /// Points at which an input that a loop drives stood at its limit, left out: what holds there is not known.
+    #[serde(default)]
+    pub spent: usize,
     /// Root mean square over the points of what was applied less what the map gives there, by actuator: as it was.
     pub before: Vec<f64>,
     /// The same of the map that is delivered.
@@ -35,7 +38,16 @@ pub struct AtRest {
 impl AtRest {
     fn none(refused: String) -> Self {
         let (points, records) = (Vec::new(), Vec::new());
-        Self { points, restless: 0, before: Vec::new(), after: Vec::new(), records, bed_s: 0.0, refused }
+        Self {
+            points,
+            restless: 0,
+            spent: 0,
+            before: Vec::new(),
+            after: Vec::new(),
+            records,
+            bed_s: 0.0,
+            refused,
+        }
     }
 }
 
@@ -77,17 +89,32 @@ pub(super) fn measured(
         }
         Err(e) => return Err(e),
     };
-    let (points, restless) = points_of(ctx, &record, &switches)?;
+    let (mut points, restless) = points_of(ctx, &record, &switches)?;
+    let all = points.len();
+    points.retain(|p| !spent(ctx, p));
     let before = missed(map, &points);
     Ok(Some(AtRest {
         after: before.clone(),
         before,
         restless,
+        spent: all - points.len(),
         bed_s: record.len() as f64 * ctx.spec.sample_time_s + ctx.spec.excite.lead_in_s,
         records: save_records(folder, &[record])?,
         points,
         refused: String::new(),
     }))
+}
+
+/// Share of an input's range within which it stands at its limit.
+const AT_LIMIT: f64 = 1e-3;
+
+/// Whether an input that a loop drives stands at its limit: the demand is not held there, and nobody knows what would hold it.
+fn spent(ctx: &Context, point: &SteadyPoint) -> bool {
+    ctx.channels.driven.iter().any(|k| {
+        let (port, u) = (&ctx.channels.ports.actuators[*k], point.actuators[*k]);
+        let near = AT_LIMIT * (port.upper - port.lower);
+        u <= port.lower + near || u >= port.upper - near
+    })
 }
 
 /// `map` moved onto the points; how far it still is from them is kept beside.

@@ -100,6 +100,12 @@ fn at_rest(section: Section, i: &InvertResult) -> Section {
         0 => String::new(),
         n => format!(" {n} more had not come to rest and were left out."),
     };
+    let spent = match r.spent {
+        0 => String::new(),
+        n => format!(
+            " At {n} more an input that a loop drives stood at its limit: what would hold them is not known, and they were left out."
+        ),
+    };
     let mut table = Table::new(vec![
         Column::text("Actuator"),
         Column::number("before", "").digits(3),
@@ -117,7 +123,7 @@ fn at_rest(section: Section, i: &InvertResult) -> Section {
     }
     section
         .text(format!(
-            "Moved onto {} points at rest, {:.0} s of bed: the map drove them while the loops added what was missing, and that was taken into it.{restless}",
+            "Moved onto {} points at rest, {:.0} s of bed: the map drove them while the loops added what was missing, and that was taken into it.{restless}{spent}",
             r.points.len(),
             r.bed_s
         ))
