@@ -7,7 +7,7 @@ use super::records::{RecordRef, save_records};
 use dynocal_calib::map::filter::filtered;
 use dynocal_calib::map::structures::{MapError, StoredMap};
 use dynocal_calib::map::{FeedforwardMap, Rows, SteadyPoint};
-use dynocal_calib::validate::{inner, reference_row};
+use dynocal_calib::validate::{MOST_OFFSET, inner, reference_row};
 use dynocal_ident::data::Dataset;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -20,9 +20,9 @@ pub struct AtRest {
     pub points: Vec<SteadyPoint>,
     /// Points that had not come to rest and were left out.
     pub restless: usize,
-    /// Points at which an input that a loop drives stood at its limit, left out: what holds there is not known.
+    /// Points left out as their demand was not met, or an input that a loop drives stood at its limit: what holds there is not known.
     #[serde(default)]
-    pub spent: usize,
+    pub unreached: usize,
     /// Root mean square over the points of what was applied less what the map gives there, by actuator: as it was.
     pub before: Vec<f64>,
     /// The same of the map that is delivered.
@@ -41,7 +41,7 @@ impl AtRest {
         Self {
             points,
             restless: 0,
-            spent: 0,
+            unreached: 0,
             before: Vec::new(),
             after: Vec::new(),
             records,
@@ -89,15 +89,13 @@ pub(super) fn measured(
         }
         Err(e) => return Err(e),
     };
-    let (mut points, restless) = points_of(ctx, &record, &switches)?;
-    let all = points.len();
-    points.retain(|p| !spent(ctx, p));
+    let (points, restless, unreached) = points_of(ctx, &record, (&reference, &switches))?;
     let before = missed(map, &points);
     Ok(Some(AtRest {
         after: before.clone(),
         before,
         restless,
-        spent: all - points.len(),
+        unreached,
         bed_s: record.len() as f64 * ctx.spec.sample_time_s + ctx.spec.excite.lead_in_s,
         records: save_records(folder, &[record])?,
         points,
@@ -159,12 +157,20 @@ fn course(ctx: &Context) -> (Rows, Vec<usize>) {
     (rows, switches)
 }
 
-/// Means at the end of each hold, of those that are at rest, and how many are not.
+/// Whether the loops did not bring a point to its demand: then what the map gave with them is that of another one.
+fn missed_demand(ctx: &Context, point: &SteadyPoint, asked: &[f64]) -> bool {
+    ctx.spec.problem.demands.iter().enumerate().any(|(k, d)| {
+        let most = MOST_OFFSET[k.min(1)] * (d.upper - d.lower);
+        !((point.reference[k] - asked[k]).abs() <= most)
+    })
+}
+
+/// Means at the end of each hold, of those that are at rest where they should be; how many are not at rest, and how many are elsewhere.
 fn points_of(
     ctx: &Context,
     record: &Dataset,
-    switches: &[usize],
-) -> Result<(Vec<SteadyPoint>, usize), ChainError> {
+    (asked, switches): (&Rows, &[usize]),
+) -> Result<(Vec<SteadyPoint>, usize, usize), ChainError> {
     let (references, actuators) = (ctx.channels.references(record)?, ctx.channels.actuators(record)?);
     let problem = &ctx.spec.problem;
     let window = (ctx.spec.invert.at_rest.average_s / ctx.spec.sample_time_s).round().max(2.0) as usize;
@@ -172,7 +178,7 @@ fn points_of(
         (from..to).map(|t| rows.row(t)[k]).sum::<f64>() / (to - from).max(1) as f64
     };
     let ends = switches.iter().skip(1).copied().chain([references.len()]);
-    let (mut points, mut restless) = (Vec::new(), 0);
+    let (mut points, mut restless, mut unreached) = (Vec::new(), 0, 0);
     for (from, to) in switches.iter().zip(ends) {
         let (start, middle) =
             (to.saturating_sub(window).max(*from), to.saturating_sub(window / 2).max(*from));
@@ -184,12 +190,17 @@ fn points_of(
             restless += 1;
             continue;
         }
-        points.push(SteadyPoint {
+        let point = SteadyPoint {
             reference: (0..references.width()).map(|k| mean(&references, k, start, to)).collect(),
             actuators: (0..actuators.width()).map(|k| mean(&actuators, k, start, to)).collect(),
-        });
+        };
+        if spent(ctx, &point) || missed_demand(ctx, &point, asked.row(to - 1)) {
+            unreached += 1;
+        } else {
+            points.push(point);
+        }
     }
-    Ok((points, restless))
+    Ok((points, restless, unreached))
 }
 
 /// Root mean square over the points of what was applied less what the map gives.

@@ -100,10 +100,10 @@ fn at_rest(section: Section, i: &InvertResult) -> Section {
         0 => String::new(),
         n => format!(" {n} more had not come to rest and were left out."),
     };
-    let spent = match r.spent {
+    let unreached = match r.unreached {
         0 => String::new(),
         n => format!(
-            " At {n} more an input that a loop drives stood at its limit: what would hold them is not known, and they were left out."
+            " At {n} more the demand was not met, or an input that a loop drives stood at its limit: what would hold them is not known, and they were left out."
         ),
     };
     let mut table = Table::new(vec![
@@ -123,7 +123,7 @@ fn at_rest(section: Section, i: &InvertResult) -> Section {
     }
     section
         .text(format!(
-            "Moved onto {} points at rest, {:.0} s of bed: the map drove them while the loops added what was missing, and that was taken into it.{restless}{spent}",
+            "Moved onto {} points at rest, {:.0} s of bed: the map drove them while the loops added what was missing, and that was taken into it.{restless}{unreached}",
             r.points.len(),
             r.bed_s
         ))

@@ -111,6 +111,29 @@ pub(super) fn static_saves_more(r: &ChainResult, v: &ValidateResult) -> Option<S
     })
 }
 
+/// Rounding of a table by so much of its range that it is worth a warning.
+const ROUNDED: f64 = 0.05;
+
+/// Tables that their resolution moves far.
+pub(super) fn rounded_far(r: &ChainResult) -> Vec<String> {
+    let Some(i) = &r.invert else { return Vec::new() };
+    let MapForm::Tables(map) = i.result.dynamic.form() else { return Vec::new() };
+    let rounding = map.steps.iter().flat_map(|s| &s.rounding);
+    map.ports
+        .actuators
+        .iter()
+        .zip(rounding)
+        .filter(|(_, by)| **by > ROUNDED)
+        .map(|(a, by)| {
+            format!(
+                "The resolution of {} changes what its tables say by up to {} % of their range.",
+                a.name,
+                significant(100.0 * by, 2)
+            )
+        })
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -174,27 +197,4 @@ mod tests {
         .collect();
         assert!(places.windows(2).all(|p| p[0] < p[1]), "{words}");
     }
-}
-
-/// Rounding of a table by so much of its range that it is worth a warning.
-const ROUNDED: f64 = 0.05;
-
-/// Tables that their resolution moves far.
-pub(super) fn rounded_far(r: &ChainResult) -> Vec<String> {
-    let Some(i) = &r.invert else { return Vec::new() };
-    let MapForm::Tables(map) = i.result.dynamic.form() else { return Vec::new() };
-    let rounding = map.steps.iter().flat_map(|s| &s.rounding);
-    map.ports
-        .actuators
-        .iter()
-        .zip(rounding)
-        .filter(|(_, by)| **by > ROUNDED)
-        .map(|(a, by)| {
-            format!(
-                "The resolution of {} changes what its tables say by up to {} % of their range.",
-                a.name,
-                significant(100.0 * by, 2)
-            )
-        })
-        .collect()
 }
