@@ -9,6 +9,7 @@ pub(super) const LONGEST_S: f64 = 0.6;
 pub(super) const STEPS: u32 = 30;
 /// Times that the steps of the search of each actuator's own dynamics are halved.
 const HALVINGS: u32 = 4;
+
 impl LeadLagMap {
     /// The table of lags of a law.
     pub(super) fn lags(&self, law: &LagLaw) -> Vec<f64> {
