@@ -143,8 +143,10 @@ fn dynamics(map: &LeadLagMap) -> Table {
     if map.steps.is_some() {
         head.push(Column::number("rounded by", "%").digits(2));
     }
-    let mut table = Table::new(head)
-    .caption("Dynamics of the actuators, and the largest difference of their tables half-way between breakpoints from what they were made of and by rounding (of the range of the table)");
+    let rounding = if map.steps.is_some() { " and by rounding" } else { "" };
+    let mut table = Table::new(head).caption(format!(
+        "Dynamics of the actuators, and the largest difference of their tables half-way between breakpoints from what they were made of{rounding} (of the range of the table)"
+    ));
     for (c, ((port, a), loss)) in map.ports.actuators.iter().zip(&map.actuators).zip(&map.loss).enumerate() {
         let rounded = map.steps.as_ref().and_then(|s| s.rounding.get(c));
         let lags = Interval::spanning(a.lag_s.iter().copied());
