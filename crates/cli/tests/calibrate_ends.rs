@@ -204,3 +204,41 @@ fn networks_compete_where_they_are_asked_for() {
         assert!(candidates.len() > 1 && r2(neural) > 0.5, "{of}");
     }
 }
+
+/// An optimum that the plant does not follow is learned on it: the record that is nearest to its demands counts, nothing is repeated that
+/// is near enough, and the bed's time is that of all records.
+#[test]
+fn an_optimum_that_the_plant_does_not_follow_is_learned() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = |name: &str, keys: &str| shortest(tmp.path(), name, &[("[optimise]\n", keys)]);
+    let plain = spec("plain.toml", "[optimise]\n");
+    let learned = spec("learned.toml", "[optimise]\ntrials = 2\n");
+    let run = |path: &Path, out: &str| {
+        let args = ["calibrate", path.to_str().unwrap(), "--until", "optimise", "--out", out];
+        let done = dynocal(tmp.path(), &args);
+        assert!(done.code < 2, "{}", done.stderr);
+        let step = json(&tmp.path().join(out).join("steps/04-optimise/step.json"));
+        step["result"].clone()
+    };
+    let (before, after) = (run(&plain, "plain"), run(&learned, "learned"));
+    let pass = |r: &Value| r["passes"][0].clone();
+    assert!(pass(&before)["trials"].as_array().is_none_or(Vec::is_empty));
+    let trials = pass(&after)["trials"].as_array().unwrap().clone();
+    let share = |t: &Value| t["share"].as_f64().unwrap();
+    assert!((2..=3).contains(&trials.len()), "{trials:?}");
+    // The first one is the optimum that is played without learning, too.
+    assert_eq!(trials[0]["misses"], pass(&before)["misses"]);
+    assert!(share(&trials[0]) > 1.0 && trials[..trials.len() - 1].iter().all(|t| share(t) > 1.0));
+    let least = trials.iter().min_by(|a, b| share(a).total_cmp(&share(b))).unwrap();
+    assert!(share(least) < 0.8 * share(&trials[0]), "{trials:?}");
+    let counts = pass(&after)["records"].as_array().unwrap().clone();
+    assert_eq!(counts[1]["name"], least["record"]["name"]);
+    assert_eq!(pass(&after)["misses"], least["misses"]);
+    // Promised is promised: what is learned is how to keep it.
+    assert_eq!(pass(&after)["promised"], pass(&before)["promised"]);
+    let bed = |r: &Value| r["bed_s"].as_f64().unwrap();
+    let each = bed(&before) / 2.0;
+    assert!((bed(&after) - each * (1 + trials.len()) as f64).abs() < 1e-9);
+    let page = text(&tmp.path().join("learned/report.html"));
+    assert!(page.contains("Optima that the plant did not follow"));
+}

@@ -69,6 +69,8 @@ const CALIBRATE: &[&str] = &[
     "models",
     "poor",
     "optimise_plan",
+    "optimise_miss",
+    "optimise_trials",
     "design_spec",
     "refine",
     "lag",

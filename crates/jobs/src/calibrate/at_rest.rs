@@ -6,7 +6,8 @@ use super::error::ChainError;
 use super::records::{RecordRef, save_records};
 use dynocal_calib::map::filter::filtered;
 use dynocal_calib::map::structures::{MapError, StoredMap};
-use dynocal_calib::map::{FeedforwardMap, Rows, SteadyPoint};
+use dynocal_calib::map::{FeedforwardMap, Ports, Rows, SteadyPoint};
+use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::validate::{MOST_OFFSET, inner, reference_row};
 use dynocal_ident::data::Dataset;
 use serde::{Deserialize, Serialize};
@@ -107,9 +108,9 @@ pub(super) fn measured(
 const AT_LIMIT: f64 = 1e-3;
 
 /// Whether an input that a loop drives stands at its limit: the demand is not held there, and nobody knows what would hold it.
-fn spent(ctx: &Context, point: &SteadyPoint) -> bool {
-    ctx.channels.driven.iter().any(|k| {
-        let (port, u) = (&ctx.channels.ports.actuators[*k], point.actuators[*k]);
+fn spent(ports: &Ports, driven: &[usize], point: &SteadyPoint) -> bool {
+    driven.iter().any(|k| {
+        let (port, u) = (&ports.actuators[*k], point.actuators[*k]);
         let near = AT_LIMIT * (port.upper - port.lower);
         u <= port.lower + near || u >= port.upper - near
     })
@@ -158,8 +159,8 @@ fn course(ctx: &Context) -> (Rows, Vec<usize>) {
 }
 
 /// Whether the loops did not bring a point to its demand: then what the map gave with them is that of another one.
-fn missed_demand(ctx: &Context, point: &SteadyPoint, asked: &[f64]) -> bool {
-    ctx.spec.problem.demands.iter().enumerate().any(|(k, d)| {
+fn missed_demand(problem: &CalibrationProblem, point: &SteadyPoint, asked: &[f64]) -> bool {
+    problem.demands.iter().enumerate().any(|(k, d)| {
         let most = MOST_OFFSET[k.min(1)] * (d.upper - d.lower);
         !((point.reference[k] - asked[k]).abs() <= most)
     })
@@ -194,7 +195,8 @@ fn points_of(
             reference: (0..references.width()).map(|k| mean(&references, k, start, to)).collect(),
             actuators: (0..actuators.width()).map(|k| mean(&actuators, k, start, to)).collect(),
         };
-        if spent(ctx, &point) || missed_demand(ctx, &point, asked.row(to - 1)) {
+        let spent = spent(&ctx.channels.ports, &ctx.channels.driven, &point);
+        if spent || missed_demand(problem, &point, asked.row(to - 1)) {
             unreached += 1;
         } else {
             points.push(point);
@@ -211,4 +213,53 @@ fn missed(map: &dyn FeedforwardMap, points: &[SteadyPoint]) -> Vec<f64> {
         squares.iter_mut().zip(p.actuators.iter().zip(given)).for_each(|(s, (u, g))| *s += (u - g).powi(2));
     }
     squares.iter().map(|s| (s / points.len().max(1) as f64).sqrt()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dynocal_calib::map::{ActuatorPort, Port};
+
+    /// A point counts where the loops hold its demand between their limits: beside it one whose throttle is fully open though the demand is
+    /// met, one whose torque is short of what was asked by more than the verdict lets a map be, and one whose lambda is no number.
+    #[test]
+    fn a_point_that_is_not_held_is_none() {
+        let problem = CalibrationProblem::thesis();
+        let port = |name: &str, unit: &str| Port { name: name.into(), unit: unit.into() };
+        let ports = Ports {
+            demands: problem.demands.iter().map(|d| port(&d.output, &d.unit)).collect(),
+            given: problem.given.iter().map(|g| port(&g.name, &g.unit)).collect(),
+            actuators: problem
+                .inputs
+                .iter()
+                .map(|i| ActuatorPort {
+                    name: i.name.clone(),
+                    unit: i.unit.clone(),
+                    lower: i.lower,
+                    upper: i.upper,
+                })
+                .collect(),
+        };
+        let throttle = ports.actuators.iter().position(|a| a.name == "throttle").unwrap();
+        let middle: Vec<f64> = ports.actuators.iter().map(|a| 0.5 * (a.lower + a.upper)).collect();
+        let held = SteadyPoint { reference: vec![50.0, 1.0, 2000.0], actuators: middle };
+        let asked = [50.0, 1.0, 2000.0];
+        assert!(!spent(&ports, &[throttle], &held) && !missed_demand(&problem, &held, &asked));
+
+        let mut open = held.clone();
+        open.actuators[throttle] = ports.actuators[throttle].upper;
+        assert!(spent(&ports, &[throttle], &open) && !missed_demand(&problem, &open, &asked));
+        // An input that no loop drives may stand at its limit.
+        assert!(!spent(&ports, &[], &open));
+
+        let range = problem.demands[0].upper - problem.demands[0].lower;
+        let off = |by: f64| SteadyPoint {
+            reference: vec![50.0 - by * MOST_OFFSET[0] * range, 1.0, 2000.0],
+            ..held.clone()
+        };
+        assert!(!missed_demand(&problem, &off(0.99), &asked) && missed_demand(&problem, &off(1.01), &asked));
+        let mut unknown = held.clone();
+        unknown.reference[1] = f64::NAN;
+        assert!(missed_demand(&problem, &unknown, &asked));
+    }
 }

@@ -284,6 +284,7 @@ fn counts(s: &CalibrateSpec, faults: &mut Faults) {
         ("design.starts", s.design.starts, 1, 1000),
         ("invert.at_rest.points", s.invert.at_rest.points, 3, 50),
         ("optimise.passes", s.optimise.passes, 1, 100),
+        ("optimise.trials", s.optimise.trials, 0, 100),
         ("optimise.max_iterations", s.optimise.max_iterations, 1, 100_000),
         ("validate.scenario.points", s.validate.scenario.points, 1, 10_000),
         ("validate.scenario.steps", s.validate.scenario.steps, 1, 10_000),

@@ -71,7 +71,11 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
     let estimated = outputs - s.identify.files.len() as f64;
     let iterations = (o.passes * o.max_iterations) as f64;
     let at_most = if o.within_points.is_some() { " at most" } else { "" };
-    plan.line("optimise", format!("{} passes{at_most} over {} s", o.passes, o.record_s))
+    let trials = match o.trials {
+        0 => String::new(),
+        n => format!(", {n} more trials at most of an optimum that the plant does not follow"),
+    };
+    plan.line("optimise", format!("{} passes{at_most} over {} s{trials}", o.passes, o.record_s))
         .line("ends with", last_step(s))
         .memory(8.0 * outputs * all * (2.0 * pool + 3.0 * terms))
         .work(estimated * identification * 2.0 * pool * (s.identify.terms * sizes) as f64 * 4.0 / 3.0)

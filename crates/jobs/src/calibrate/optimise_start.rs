@@ -159,7 +159,7 @@ impl Begin<'_> {
 }
 
 /// Filtered forwards and backwards: what the rule does not know of fast dynamics would be taken back too late, and grow.
-fn smoothed(values: Vec<f64>, sample_time_s: f64) -> Vec<f64> {
+pub(super) fn smoothed(values: Vec<f64>, sample_time_s: f64) -> Vec<f64> {
     let mut there = filtered(&values, &[SMOOTH_S], sample_time_s);
     there.reverse();
     let mut back = filtered(&there, &[SMOOTH_S], sample_time_s);
@@ -175,7 +175,11 @@ fn held_head(mut values: Vec<f64>) -> Vec<f64> {
     values
 }
 
-fn start_rule(ctx: &Context, data: &[(Dataset, PathBuf)]) -> Result<StartRule, ChainError> {
+/// The rule that drives start records, fitted to measured ones.
+///
+/// # Errors
+/// [`ChainError`].
+pub(super) fn start_rule(ctx: &Context, data: &[(Dataset, PathBuf)]) -> Result<StartRule, ChainError> {
     let (problem, channels) = (&ctx.spec.problem, &ctx.channels);
     let ports = &channels.ports;
     let free: Vec<Port> = channels

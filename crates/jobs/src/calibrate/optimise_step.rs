@@ -3,11 +3,12 @@
 use super::context::{Context, Tone};
 use super::error::ChainError;
 use super::models::{ModelData, ModelsResult, identify_again, with_predecessors};
+use super::optimise_miss::{Miss, misses};
 use super::optimise_plan::{END_EFFECT, GaveWay, Planned, VIOLATION, planned, range_of, within_reach};
+use super::optimise_trials::{Asked, Played, Trial, learned, too_far};
 use super::records::{RecordRef, all_measured, save_records};
 use dynocal_calib::limits::{LimitScore, limit_scores};
 use dynocal_calib::map::Port;
-use dynocal_calib::optimise::Optimum;
 use dynocal_calib::problem::{CalibrationProblem, Metered, meter_name};
 use dynocal_calib::validate::objective;
 use dynocal_ident::data::{Channel, Dataset, UnitAfter};
@@ -15,26 +16,6 @@ use dynocal_numerics::status::Status;
 use dynocal_report::with_unit;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-
-/// By how much a demand was missed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Miss {
-    /// Output.
-    pub output: String,
-    /// Its unit.
-    pub unit: String,
-    /// Largest violation of the demand, or of the limits, by the free run of the model; none for an output without a model, which
-    /// the fuelling holds.
-    pub violation: Option<f64>,
-    /// Whether its limits are soft: then they may be passed.
-    #[serde(default)]
-    pub soft: bool,
-    /// Root mean square of (measured - demanded) of the measured optimum; none for an output without a demand.
-    pub measured_rms: Option<f64>,
-    /// Mean of (measured - demanded).
-    pub measured_mean: Option<f64>,
-}
 
 /// One pass: the promise and the measurement, and the models that were identified with it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -68,6 +49,9 @@ pub struct Pass {
     pub meters: Vec<Metered>,
     /// By output.
     pub misses: Vec<Miss>,
+    /// Records of the optimum that led to the last one, in order, where the plant was too far from the demands; the nearest one counts.
+    #[serde(default)]
+    pub trials: Vec<Trial>,
     /// Limits of the problem against the measured optimum, from the first decided sample on.
     pub limits: Vec<LimitScore>,
     /// First decided sample.
@@ -119,7 +103,8 @@ pub fn optimise(
             break;
         }
     }
-    let bed_s = 2.0 * passes.len() as f64 * (spec.record_s + ctx.spec.excite.lead_in_s);
+    let played: usize = passes.iter().map(|p: &Pass| 2 + p.trials.len().saturating_sub(1)).sum();
+    let bed_s = played as f64 * (spec.record_s + ctx.spec.excite.lead_in_s);
     Ok(OptimiseResult { passes, bed_s })
 }
 
@@ -147,9 +132,13 @@ fn one_pass(
         || hold(format!("pass{k}_optimum"), optimal.clone()),
     );
     let runs = all_measured(vec![start_run, optimum_run])?;
-    let records = save_records(folder, &runs)?;
-    let [start_run, optimum_run] =
-        <[Dataset; 2]>::try_from(runs).map_err(|_| ChainError::Design("a pass has two records".into()))?;
+    let two = || ChainError::Design("a pass has two records".into());
+    let [start_kept, kept] = <[RecordRef; 2]>::try_from(save_records(folder, &runs)?).map_err(|_| two())?;
+    let [start_run, optimum_run] = <[Dataset; 2]>::try_from(runs).map_err(|_| two())?;
+    let asked = Asked { pass: k, optimum: &optimum, given: &given, data, hold: &hold };
+    let missed = misses(ctx, &optimum, &optimum_run)?;
+    let first = Played { inputs: optimal, run: optimum_run, kept, misses: missed };
+    let (Played { run: optimum_run, kept, misses, .. }, trials) = learned(ctx, folder, &asked, first)?;
     same_meters(ctx, &start_run, &optimum_run)?;
     let first = optimum.first;
     let (measured_start, measured) =
@@ -167,11 +156,12 @@ fn one_pass(
         measured,
         measured_ratio: measured / measured_start,
         meters: ctx.spec.problem.meters(&optimum_run)?,
-        misses: misses(ctx, &optimum, &optimum_run)?,
+        misses,
+        trials,
         limits: limit_scores(&ctx.spec.problem, &optimum_run, first)?,
         first,
         demands: demands.clone(),
-        records,
+        records: vec![start_kept, kept],
         usable: true,
         reason: String::new(),
         models: models.clone(),
@@ -228,13 +218,7 @@ impl Pass {
         let most = |m: &Miss| VIOLATION * range(&m.output);
         let passes = |m: &Miss| !m.soft && m.violation.is_some_and(|v| v.is_nan() || v > most(m));
         let missed = self.misses.iter().find(|m| passes(m));
-        let lead = ctx.channels.demands.first();
-        let most_rms = |m: &Miss| range(&m.output) * if Some(&m.output) == lead { FAR_LEAD } else { FAR };
-        let beyond = |v: Option<f64>, most: f64| v.is_some_and(|v| v.is_nan() || v.abs() > most);
-        let is_far = |m: &&Miss| {
-            beyond(m.measured_rms, most_rms(m)) || beyond(m.measured_mean, OFFSET * range(&m.output))
-        };
-        let far = self.misses.iter().find(is_far);
+        let far = self.misses.iter().find(|m| too_far(m.share(ctx)));
         self.reason = if let Some(m) = missed {
             let demanded = ctx.channels.demands.contains(&m.output);
             format!(
@@ -269,13 +253,6 @@ impl Pass {
     }
 }
 
-/// RMS of the measured leading demand from which on a pass must not be used, as a share of the demand's range.
-const FAR_LEAD: f64 = 0.08;
-/// The same of further demands, whose range is narrow beside what transients do.
-const FAR: f64 = 0.3;
-/// Mean distance of a measured demand from which on a pass must not be used, as a share of its range.
-const OFFSET: f64 = 0.03;
-
 fn columns(record: &Dataset, names: &[String]) -> Result<Vec<Vec<f64>>, ChainError> {
     Ok(names.iter().map(|n| record.values(n).map(<[f64]>::to_vec)).collect::<Result<_, _>>()?)
 }
@@ -289,42 +266,4 @@ pub fn mean_objective(ctx: &Context, run: &Dataset, first: usize) -> Result<f64,
     let range = first..values.len().saturating_sub(END_EFFECT);
     let n = range.len().max(1) as f64;
     Ok(values[range].iter().sum::<f64>() / n)
-}
-
-fn misses(ctx: &Context, optimum: &Optimum, run: &Dataset) -> Result<Vec<Miss>, ChainError> {
-    let unit = |name: &str| ctx.spec.problem.unit(name).unwrap_or("-").to_string();
-    // Root mean square and mean of measured less demanded.
-    let errors = |output: &str, demand: &[f64]| -> Result<[f64; 2], ChainError> {
-        let pairs = run.values(output)?.iter().zip(demand).skip(optimum.first);
-        let errors: Vec<f64> = pairs.map(|(y, d)| y - d).collect();
-        let n = errors.len().max(1) as f64;
-        let squares = errors.iter().map(|e| e * e).sum::<f64>();
-        Ok([(squares / n).sqrt(), errors.iter().sum::<f64>() / n])
-    };
-    let mut out = Vec::new();
-    for output in ctx.channels.outputs() {
-        let demand = optimum.demands.iter().find(|d| d.name == output);
-        let measured = demand.map(|d| errors(&output, &d.values)).transpose()?;
-        out.push(Miss {
-            unit: unit(&output),
-            violation: Some(optimum.violation(&output)),
-            soft: ctx.spec.problem.limits.iter().any(|l| l.output == output && l.soft_weight.is_some()),
-            measured_rms: measured.map(|m| m[0]),
-            measured_mean: measured.map(|m| m[1]),
-            output,
-        });
-    }
-    // What the fuelling holds has no model that could miss its demand.
-    for (output, given) in ctx.held() {
-        let [rms, mean] = errors(output, run.values(&given.name)?)?;
-        out.push(Miss {
-            output: output.into(),
-            unit: given.unit.clone(),
-            violation: None,
-            soft: false,
-            measured_rms: Some(rms),
-            measured_mean: Some(mean),
-        });
-    }
-    Ok(out)
 }

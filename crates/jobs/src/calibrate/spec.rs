@@ -299,6 +299,9 @@ pub struct OptimiseSpec {
     /// do not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub within_points: Option<f64>,
+    /// Times at most that an optimum which the plant does not follow as demanded is corrected by what it answered and played again.
+    #[serde(skip_serializing_if = "none_of")]
+    pub trials: usize,
     /// Whether an optimum is sought on models of demanded outputs that say less of unseen records than the mean of the output does.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub force: bool,
@@ -323,11 +326,16 @@ pub struct OptimiseSpec {
     pub start_maps: Option<StartMaps>,
 }
 
+fn none_of(count: &usize) -> bool {
+    *count == 0
+}
+
 impl Default for OptimiseSpec {
     fn default() -> Self {
         Self {
             passes: 2,
             within_points: None,
+            trials: 0,
             force: false,
             record_s: 60.0,
             ranges: BTreeMap::new(),

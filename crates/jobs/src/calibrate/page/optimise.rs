@@ -24,6 +24,9 @@ pub(super) fn section(
     section =
         section.block(promise(ctx, passes, fixed)).block(bars(&what, passes, fixed)).block(misses(passes));
     let spec = &ctx.spec.optimise;
+    if passes.iter().any(|p| !p.trials.is_empty()) {
+        section = section.block(trials(passes));
+    }
     if let Some(most) = spec.within_points.filter(|_| passes.len() < spec.passes) {
         section = section.text(format!(
             "The last of {} passes was number {}: its optimum was measured within {most} points of its promise.",
@@ -134,6 +137,39 @@ fn bars(what: &str, passes: &[Pass], fixed: Option<&StaticOnRecord>) -> Bars {
     }
     Bars::new(format!("{what} against the start record"), Axis::new("Change", "%"), names)
         .series("change", changes)
+}
+
+/// What learning on the plant made of optima that it did not follow.
+fn trials(passes: &[Pass]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("Record"),
+        Column::text("Output"),
+        Column::number("RMS measured", "").digits(3),
+        Column::number("Mean measured", "").digits(3),
+        Column::text("Unit"),
+        Column::number("Distance", "of what may be").digits(2),
+        Column::text("Counts"),
+    ])
+    .caption(
+        "Optima that the plant did not follow, corrected by what it answered and played again; the record that is nearest to its demands counts. Distance: largest one of the record, as a share of the one from which on a pass must not be used",
+    );
+    for p in passes {
+        for t in &p.trials {
+            let counts = p.records.last().is_some_and(|r| r.name == t.record.name);
+            for m in t.misses.iter().filter(|m| m.measured_rms.is_some()) {
+                table = table.row([
+                    t.record.name.as_str().into(),
+                    m.output.as_str().into(),
+                    Cell::from(m.measured_rms),
+                    Cell::from(m.measured_mean),
+                    Cell::from(unit(&m.unit)),
+                    Cell::from(t.share),
+                    Cell::from(if counts { "yes" } else { "no" }),
+                ]);
+            }
+        }
+    }
+    table
 }
 
 fn misses(passes: &[Pass]) -> Table {
