@@ -73,7 +73,7 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
     let at_most = if o.within_points.is_some() { " at most" } else { "" };
     let trials = match o.trials {
         0 => String::new(),
-        n => format!(", {n} more trials at most of an optimum that the plant does not follow"),
+        n => format!(", start and optimum at most {n} times more where the plant does not follow"),
     };
     plan.line("optimise", format!("{} passes{at_most} over {} s{trials}", o.passes, o.record_s))
         .line("ends with", last_step(s))

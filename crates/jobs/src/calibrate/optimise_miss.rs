@@ -2,7 +2,7 @@
 
 use super::context::Context;
 use super::error::ChainError;
-use super::optimise_plan::range_of;
+use super::optimise_plan::{VIOLATION, range_of};
 use dynocal_calib::optimise::Optimum;
 use dynocal_ident::data::Dataset;
 use serde::{Deserialize, Serialize};
@@ -41,6 +41,18 @@ pub(super) fn share(ctx: &Context, misses: &[Miss]) -> f64 {
 }
 
 impl Miss {
+    /// Whether what was measured is so far from the demand that a pass must not be used.
+    pub(super) fn is_far(&self, ctx: &Context) -> bool {
+        let share = self.share(ctx);
+        share.is_nan() || share > 1.0
+    }
+
+    /// Whether the models themselves miss the demand, or pass a limit that binds, by more than counts as none.
+    pub(super) fn missed_on_models(&self, ctx: &Context) -> bool {
+        let most = VIOLATION * range_of(ctx, &self.output);
+        !self.soft && self.violation.is_some_and(|v| v.is_nan() || v > most)
+    }
+
     /// Measured distance from the demand as a share of the one from which on a pass must not be used; 0 without a demand.
     pub(super) fn share(&self, ctx: &Context) -> f64 {
         let range = range_of(ctx, &self.output);

@@ -4,8 +4,8 @@ use super::context::{Context, Tone};
 use super::error::ChainError;
 use super::models::{ModelData, ModelsResult, identify_again, with_predecessors};
 use super::optimise_miss::{Miss, misses};
-use super::optimise_plan::{END_EFFECT, GaveWay, Planned, VIOLATION, planned, range_of, within_reach};
-use super::optimise_trials::{Asked, Played, Trial, learned, too_far};
+use super::optimise_plan::{END_EFFECT, GaveWay, Planned, planned, within_reach};
+use super::optimise_trials::{Asked, Learned, Played, learned};
 use super::records::{RecordRef, all_measured, save_records};
 use dynocal_calib::limits::{LimitScore, limit_scores};
 use dynocal_calib::map::Port;
@@ -49,9 +49,9 @@ pub struct Pass {
     pub meters: Vec<Metered>,
     /// By output.
     pub misses: Vec<Miss>,
-    /// Records of the optimum that led to the last one, in order, where the plant was too far from the demands; the nearest one counts.
+    /// What learning on the plant came to, where it was too far from the demands; the nearest records of start and optimum count.
     #[serde(default)]
-    pub trials: Vec<Trial>,
+    pub learned: Learned,
     /// Limits of the problem against the measured optimum, from the first decided sample on.
     pub limits: Vec<LimitScore>,
     /// First decided sample.
@@ -103,8 +103,8 @@ pub fn optimise(
             break;
         }
     }
-    let played: usize = passes.iter().map(|p: &Pass| 2 + p.trials.len().saturating_sub(1)).sum();
-    let bed_s = played as f64 * (spec.record_s + ctx.spec.excite.lead_in_s);
+    let played: usize = passes.iter().map(|p: &Pass| p.learned.trials.len().max(1)).sum();
+    let bed_s = 2.0 * played as f64 * (spec.record_s + ctx.spec.excite.lead_in_s);
     Ok(OptimiseResult { passes, bed_s })
 }
 
@@ -136,9 +136,12 @@ fn one_pass(
     let [start_kept, kept] = <[RecordRef; 2]>::try_from(save_records(folder, &runs)?).map_err(|_| two())?;
     let [start_run, optimum_run] = <[Dataset; 2]>::try_from(runs).map_err(|_| two())?;
     let asked = Asked { pass: k, optimum: &optimum, given: &given, data, hold: &hold };
-    let missed = misses(ctx, &optimum, &optimum_run)?;
-    let first = Played { inputs: optimal, run: optimum_run, kept, misses: missed };
-    let (Played { run: optimum_run, kept, misses, .. }, trials) = learned(ctx, folder, &asked, first)?;
+    let played = |inputs, run, kept| {
+        Ok::<_, ChainError>(Played { misses: misses(ctx, &optimum, &run)?, inputs, run, kept })
+    };
+    let first = [played(start_inputs, start_run, start_kept)?, played(optimal, optimum_run, kept)?];
+    let ([begun, reached], learned) = learned(ctx, folder, &asked, first)?;
+    let (start_run, optimum_run) = (begun.run, reached.run);
     same_meters(ctx, &start_run, &optimum_run)?;
     let first = optimum.first;
     let (measured_start, measured) =
@@ -156,12 +159,12 @@ fn one_pass(
         measured,
         measured_ratio: measured / measured_start,
         meters: ctx.spec.problem.meters(&optimum_run)?,
-        misses,
-        trials,
+        misses: reached.misses,
+        learned,
         limits: limit_scores(&ctx.spec.problem, &optimum_run, first)?,
         first,
         demands: demands.clone(),
-        records: vec![start_kept, kept],
+        records: vec![begun.kept, reached.kept],
         usable: true,
         reason: String::new(),
         models: models.clone(),
@@ -214,11 +217,8 @@ impl Pass {
     /// Decides whether the optimum may be used: the search ended well, demands are met on the models, something promised to
     /// save saved, and what was measured is near what was demanded.
     fn judge(&mut self, ctx: &Context) {
-        let range = |output: &str| range_of(ctx, output);
-        let most = |m: &Miss| VIOLATION * range(&m.output);
-        let passes = |m: &Miss| !m.soft && m.violation.is_some_and(|v| v.is_nan() || v > most(m));
-        let missed = self.misses.iter().find(|m| passes(m));
-        let far = self.misses.iter().find(|m| too_far(m.share(ctx)));
+        let missed = self.misses.iter().find(|m| m.missed_on_models(ctx));
+        let far = self.misses.iter().find(|m| m.is_far(ctx));
         self.reason = if let Some(m) = missed {
             let demanded = ctx.channels.demands.contains(&m.output);
             format!(
@@ -230,10 +230,12 @@ impl Pass {
             )
         } else if !(self.measured_ratio.is_finite() && self.promised_ratio.is_finite()) {
             "what it costs is not a finite number".into()
-        } else if self.promised_ratio < 1.0 && self.measured_ratio >= 1.0 {
+        } else if self.measured_ratio >= 1.0
+            && (self.promised_ratio < 1.0 || self.missed_points() > MOST_GAP_POINTS)
+        {
             format!(
-                "it promised to save {:.1} % and measured {:+.1} %",
-                100.0 * (1.0 - self.promised_ratio),
+                "it promised {:+.1} % against its start and measured {:+.1} %",
+                100.0 * (self.promised_ratio - 1.0),
                 100.0 * (self.measured_ratio - 1.0)
             )
         } else if let Some(l) = self.limits.iter().find(|l| !l.soft && l.passed()) {
@@ -252,6 +254,10 @@ impl Pass {
         self.usable = self.reason.is_empty();
     }
 }
+
+/// Points between promise and measurement that are worth a warning, and from which on an optimum that costs more than its start must not be
+/// used, whatever it promised.
+pub(super) const MOST_GAP_POINTS: f64 = 1.5;
 
 fn columns(record: &Dataset, names: &[String]) -> Result<Vec<Vec<f64>>, ChainError> {
     Ok(names.iter().map(|n| record.values(n).map(<[f64]>::to_vec)).collect::<Result<_, _>>()?)

@@ -1,5 +1,5 @@
 //! Iterative learning on the plant: an optimum that the plant does not follow as demanded is corrected by what was missed, and played
-//! again over the same record.
+//! again over the same record; so is the start that it is compared with, or what it saves would be torque that is not made.
 //!
 //! With r the references, e = demand - measured and R the rule that start records are driven by, which is an approximate inverse of the
 //! plant, the inputs of the loops become
@@ -9,15 +9,16 @@
 //! ```
 //!
 //! smoothed forwards and backwards, so that nothing is shifted and what the rule does not know of fast dynamics is left alone (S. Arimoto,
-//! S. Kawamura, F. Miyazaki, J. Robot. Syst. 1, 1984, 123-140, with the filter of no phase that makes learning robust). Inputs that no loop
-//! drives stay those of the optimum, and so does what was promised. Taking what the models lack into the search itself was tried: demands
-//! that no smooth input gives are met by inputs that jump from limit to limit.
+//! S. Kawamura, F. Miyazaki, J. Robot. Syst. 1, 1984, 123-140, with the filter of no phase that makes learning robust). Each trial begins
+//! at the nearest record so far, with half of g after one that was no nearer. Inputs that no loop drives stay those of the optimum, and so
+//! does what was promised. Taking what the models lack into the search itself was tried: demands that no smooth input gives are met by
+//! inputs that jump from limit to limit.
 
 use super::context::Context;
 use super::error::ChainError;
 use super::optimise_miss::{Miss, misses, share};
 use super::optimise_start::{smoothed, start_rule};
-use super::records::{RecordRef, save_records};
+use super::records::{RecordRef, all_measured, save_records};
 use dynocal_calib::map::Rows;
 use dynocal_calib::map::start::{StartRule, rate_limited};
 use dynocal_calib::optimise::Optimum;
@@ -28,7 +29,7 @@ use std::path::{Path, PathBuf};
 /// Share of what was missed that a trial takes back.
 const GAIN: f64 = 0.6;
 
-/// An optimum as it was played: inputs that were asked for, and what the plant made of them.
+/// Inputs that were asked for, and what the plant made of them.
 pub(super) struct Played {
     pub(super) inputs: Vec<Vec<f64>>,
     pub(super) run: Dataset,
@@ -36,10 +37,10 @@ pub(super) struct Played {
     pub(super) misses: Vec<Miss>,
 }
 
-/// A record of an optimum, and how far from its demands it was.
+/// A record and how far from its demands it was.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Trial {
+pub struct Tried {
     /// The record.
     pub record: RecordRef,
     /// By output.
@@ -48,11 +49,24 @@ pub struct Trial {
     pub share: f64,
 }
 
-impl Trial {
-    fn of(ctx: &Context, played: &Played) -> Self {
-        let (record, misses) = (played.kept.clone(), played.misses.clone());
-        Self { share: share(ctx, &misses), record, misses }
-    }
+/// The same record once more.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trial {
+    /// With the inputs of the start.
+    pub start: Tried,
+    /// With those of the optimum.
+    pub optimum: Tried,
+}
+
+/// What learning on the plant came to.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Learned {
+    /// All trials in order, what was played before them as the first one; none where there was no need.
+    pub trials: Vec<Trial>,
+    /// Why it ended before its time; empty where it did not.
+    pub ended: String,
 }
 
 /// What a pass asks for, over all of its trials.
@@ -67,8 +81,35 @@ pub(super) struct Asked<'a> {
     pub(super) hold: &'a (dyn Fn(String, Vec<Vec<f64>>) -> Result<Dataset, ChainError> + Sync),
 }
 
-/// Learns as long as the plant is too far from what is demanded and the spec allows one more trial. The nearest record, and all of them in
-/// order with the first one before them; none where there was no need.
+/// One of the two that are learned: the nearest record so far, and the share of the next correction.
+struct Side {
+    best: Played,
+    share: f64,
+    gain: f64,
+}
+
+impl Side {
+    fn new(ctx: &Context, best: Played) -> Self {
+        Self { share: share(ctx, &best.misses), best, gain: GAIN }
+    }
+
+    fn tried(ctx: &Context, played: &Played) -> Tried {
+        let (record, misses) = (played.kept.clone(), played.misses.clone());
+        Tried { share: share(ctx, &misses), record, misses }
+    }
+
+    fn take(&mut self, ctx: &Context, played: Played) {
+        let found = share(ctx, &played.misses);
+        if found < self.share {
+            (self.best, self.share) = (played, found);
+        } else {
+            self.gain *= 0.5;
+        }
+    }
+}
+
+/// Learns as long as the plant is too far from what is demanded of the optimum and the spec allows one more trial. The nearest records of
+/// start and optimum, and all that was tried.
 ///
 /// # Errors
 /// [`ChainError`]; a trial that had to be stopped, or in which a loop swung, ends the learning alone.
@@ -76,53 +117,79 @@ pub(super) fn learned(
     ctx: &Context,
     folder: &Path,
     asked: &Asked<'_>,
-    first: Played,
-) -> Result<(Played, Vec<Trial>), ChainError> {
-    let (mut best, mut last) = (first, None);
-    let mut trials = vec![Trial::of(ctx, &best)];
-    let mut least = trials[0].share;
-    if ctx.spec.optimise.trials == 0 || !too_far(least) {
-        return Ok((best, Vec::new()));
-    }
-    let rule = start_rule(ctx, asked.data)?;
-    while trials.len() <= ctx.spec.optimise.trials && too_far(least) {
-        ctx.check_interrupt()?;
-        let inputs = asked.corrected(ctx, &rule, last.as_ref().unwrap_or(&best))?;
-        let name = format!("pass{}_trial{}", asked.pass, trials.len());
-        let run = match (asked.hold)(name, inputs.clone()) {
-            Ok(run) => run,
-            Err(e @ (ChainError::Stopped { .. } | ChainError::Oscillates { .. })) => {
-                ctx.watch.note(&format!("optimise.trials: no further trial of pass {}: {e}", asked.pass));
+    [start, optimum]: [Played; 2],
+) -> Result<([Played; 2], Learned), ChainError> {
+    let (mut start, mut optimum) = (Side::new(ctx, start), Side::new(ctx, optimum));
+    let mut out = Learned::default();
+    let most = ctx.spec.optimise.trials;
+    if most > 0 && asked.worth(ctx, &optimum) && start.share.is_finite() {
+        let first = [&start, &optimum].map(|s| Side::tried(ctx, &s.best));
+        let [s, o] = first;
+        out.trials.push(Trial { start: s, optimum: o });
+        let rule = start_rule(ctx, asked.data)?;
+        while out.trials.len() <= most && optimum.share > 1.0 {
+            ctx.check_interrupt()?;
+            let played = match asked.again(ctx, folder, &rule, [&start, &optimum], out.trials.len()) {
+                Ok(played) => played,
+                Err(e @ (ChainError::Stopped { .. } | ChainError::Oscillates { .. })) => {
+                    out.ended = e.to_string();
+                    break;
+                }
+                Err(e) => return Err(e),
+            };
+            let [s, o] = [&played[0], &played[1]].map(|p| Side::tried(ctx, p));
+            if !(s.share.is_finite() && o.share.is_finite()) {
+                out.ended = "what was measured is no number".into();
                 break;
             }
-            Err(e) => return Err(e),
-        };
-        let kept = save_records(folder, std::slice::from_ref(&run))?.remove(0);
-        let misses = misses(ctx, asked.optimum, &run)?;
-        let tried = Played { inputs, run, kept, misses };
-        let trial = Trial::of(ctx, &tried);
-        // What is no number is no nearer.
-        let nearer = trial.share < least || least.is_nan();
-        least = if nearer { trial.share } else { least };
-        trials.push(trial);
-        if nearer {
-            (best, last) = (tried, None);
-        } else {
-            last = Some(tried);
+            out.trials.push(Trial { start: s, optimum: o });
+            let [s, o] = played;
+            start.take(ctx, s);
+            optimum.take(ctx, o);
         }
     }
-    Ok((best, trials))
-}
-
-/// Whether a pass whose measured distance is so much must not be used.
-pub(super) fn too_far(share: f64) -> bool {
-    share.is_nan() || share > 1.0
+    Ok(([start.best, optimum.best], out))
 }
 
 impl Asked<'_> {
+    /// Whether learning could make an optimum usable: it is too far from a demand that the loops hold, and nothing that was measured could
+    /// mend the rest.
+    fn worth(&self, ctx: &Context, optimum: &Side) -> bool {
+        let held = |m: &Miss| m.share(ctx) > 1.0 && !ctx.channels.demands.contains(&m.output);
+        let misses = &optimum.best.misses;
+        let lost = misses.iter().any(|m| m.missed_on_models(ctx) || held(m));
+        optimum.share.is_finite() && optimum.share > 1.0 && !lost && self.optimum.objective.is_finite()
+    }
+
+    /// Trial number `k` of both.
+    fn again(
+        &self,
+        ctx: &Context,
+        folder: &Path,
+        rule: &StartRule,
+        sides: [&Side; 2],
+        k: usize,
+    ) -> Result<[Played; 2], ChainError> {
+        let inputs = [self.corrected(ctx, rule, sides[0])?, self.corrected(ctx, rule, sides[1])?];
+        let play = |of: &str, inputs: &Vec<Vec<f64>>| {
+            (self.hold)(format!("pass{}_trial{k}_{of}", self.pass), inputs.clone())
+        };
+        let (start, optimum) = rayon::join(|| play("start", &inputs[0]), || play("optimum", &inputs[1]));
+        let runs = all_measured(vec![start, optimum])?;
+        let kept = save_records(folder, &runs)?;
+        let mut played = Vec::new();
+        for (((inputs, run), kept), side) in inputs.into_iter().zip(runs).zip(kept).zip(sides) {
+            unlike(ctx, &run, &side.best.run)?;
+            let misses = misses(ctx, self.optimum, &run)?;
+            played.push(Played { inputs, run, kept, misses });
+        }
+        <[Played; 2]>::try_from(played).map_err(|_| ChainError::Design("a trial has two records".into()))
+    }
+
     /// The inputs of the next trial.
-    fn corrected(&self, ctx: &Context, rule: &StartRule, last: &Played) -> Result<Vec<Vec<f64>>, ChainError> {
+    fn corrected(&self, ctx: &Context, rule: &StartRule, side: &Side) -> Result<Vec<Vec<f64>>, ChainError> {
         let (channels, problem, dt) = (&ctx.channels, &ctx.spec.problem, ctx.spec.sample_time_s);
+        let last = &side.best;
         let free: Vec<&[f64]> = channels.free.iter().map(|&i| last.inputs[i].as_slice()).collect();
         let demands: Vec<&[f64]> = self.optimum.demands.iter().map(|d| d.values.as_slice()).collect();
         let wanted: Vec<Vec<f64>> = demands
@@ -145,7 +212,7 @@ impl Asked<'_> {
             let input = &problem.inputs[i];
             let applied = last.run.values(&input.name)?;
             let added = smoothed(applied.iter().zip(&inputs[i]).map(|(a, u)| a - u).collect(), dt);
-            let by_rule = after.column(c).into_iter().zip(before.column(c)).map(|(a, b)| GAIN * (a - b));
+            let by_rule = after.column(c).into_iter().zip(before.column(c)).map(|(a, b)| side.gain * (a - b));
             let values = inputs[i].iter().zip(added).zip(by_rule);
             let values: Vec<f64> =
                 values.map(|((u, a), r)| (u + a + r).clamp(input.lower, input.upper)).collect();
@@ -153,4 +220,24 @@ impl Asked<'_> {
         }
         Ok(inputs)
     }
+}
+
+/// A bed's file that is the record before it, sample by sample, was never measured.
+fn unlike(ctx: &Context, run: &Dataset, before: &Dataset) -> Result<(), ChainError> {
+    let same = |d: &String| Ok::<_, ChainError>(run.values(d)? == before.values(d)?);
+    if ctx.plants.is_none()
+        && ctx.channels.demands.iter().map(same).collect::<Result<Vec<_>, _>>()?.iter().all(|s| *s)
+    {
+        let fault = format!(
+            "it says of {} what `{}` says: it was not measured anew",
+            ctx.channels.demands.join(", "),
+            before.name
+        );
+        return Err(ChainError::Record {
+            measured: run.origin.clone(),
+            plan: run.name.clone(),
+            faults: vec![fault],
+        });
+    }
+    Ok(())
 }

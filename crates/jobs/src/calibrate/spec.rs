@@ -299,7 +299,7 @@ pub struct OptimiseSpec {
     /// do not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub within_points: Option<f64>,
-    /// Times at most that an optimum which the plant does not follow as demanded is corrected by what it answered and played again.
+    /// Times at most that start and optimum are corrected by what was missed and played again, where the plant does not follow the optimum.
     #[serde(skip_serializing_if = "none_of")]
     pub trials: usize,
     /// Whether an optimum is sought on models of demanded outputs that say less of unseen records than the mean of the output does.

@@ -6,7 +6,7 @@ use super::fuelled::FuelledBy;
 use super::models::{FreeRunScore, OutputModels};
 use super::optimise_miss::Miss;
 use super::optimise_step::Pass;
-use super::optimise_trials::Trial;
+use super::optimise_trials::Learned;
 use super::run::{ChainResult, STEPS};
 use super::spec::CalibrateSpec;
 use super::store::{RunFile, finished};
@@ -118,7 +118,7 @@ pub(crate) struct PassLine<'a> {
     pub(crate) promise_gap_points: f64,
     pub(crate) meters: &'a [Metered],
     pub(crate) misses: &'a [Miss],
-    pub(crate) trials: &'a [Trial],
+    pub(crate) learned: &'a Learned,
 }
 
 /// Fits of the inverse maps.
@@ -237,6 +237,6 @@ fn pass(p: &Pass) -> PassLine<'_> {
         promise_gap_points: 100.0 * (p.promised_ratio - p.measured_ratio).abs(),
         meters: &p.meters,
         misses: &p.misses,
-        trials: &p.trials,
+        learned: &p.learned,
     }
 }

@@ -7,7 +7,7 @@
 mod rivals;
 
 use super::models::ModelsResult;
-use super::optimise_step::Pass;
+use super::optimise_step::{MOST_GAP_POINTS, Pass};
 use super::poor;
 use super::run::ChainResult;
 use super::spec::{CalibrateSpec, INFORMATIVE};
@@ -18,8 +18,6 @@ use dynocal_numerics::status::Status;
 use dynocal_report::{capital, significant, with_unit};
 use rivals::{beaten, beyond_reference, left_with, of_static, out_of_reach, rounded_far, static_saves_more};
 
-/// Difference of promised and measured ratio that is worth a warning, in points.
-const PROMISE_POINTS: f64 = 1.5;
 /// Difference of a meter and what follows from the inputs that is worth a warning, as a share.
 const METER: f64 = 0.01;
 
@@ -157,7 +155,7 @@ fn passes(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
             f.notes.push(format!("The measured optimum of pass {} passes {}.", p.pass, l.words()));
         }
         let points = p.missed_points().abs();
-        if points > PROMISE_POINTS {
+        if points > MOST_GAP_POINTS {
             let what = objective_words(spec);
             let seen = if p.unmetered(&spec.problem).is_empty() { "measured" } else { "played" };
             f.notes

@@ -24,8 +24,11 @@ pub(super) fn section(
     section =
         section.block(promise(ctx, passes, fixed)).block(bars(&what, passes, fixed)).block(misses(passes));
     let spec = &ctx.spec.optimise;
-    if passes.iter().any(|p| !p.trials.is_empty()) {
+    if passes.iter().any(|p| !p.learned.trials.is_empty()) {
         section = section.block(trials(passes));
+    }
+    for p in passes.iter().filter(|p| !p.learned.ended.is_empty()) {
+        section = section.text(format!("Learning of pass {} ended early: {}.", p.pass, p.learned.ended));
     }
     if let Some(most) = spec.within_points.filter(|_| passes.len() < spec.passes) {
         section = section.text(format!(
@@ -76,7 +79,7 @@ fn promise(ctx: &Context, passes: &[Pass], fixed: Option<&StaticOnRecord>) -> Ta
     ));
     for p in passes {
         table = table.row([
-            format!("pass {}", p.pass).into(),
+            named(p).into(),
             p.measured_start.into(),
             p.measured.into(),
             change(p.promised_ratio).into(),
@@ -139,7 +142,7 @@ fn bars(what: &str, passes: &[Pass], fixed: Option<&StaticOnRecord>) -> Bars {
         .series("change", changes)
 }
 
-/// What learning on the plant made of optima that it did not follow.
+/// What learning on the plant made of records that it did not follow.
 fn trials(passes: &[Pass]) -> Table {
     let mut table = Table::new(vec![
         Column::text("Record"),
@@ -147,15 +150,15 @@ fn trials(passes: &[Pass]) -> Table {
         Column::number("RMS measured", "").digits(3),
         Column::number("Mean measured", "").digits(3),
         Column::text("Unit"),
-        Column::number("Distance", "of what may be").digits(2),
+        Column::number("Largest distance of the record", "of what may be").digits(2),
         Column::text("Counts"),
     ])
     .caption(
-        "Optima that the plant did not follow, corrected by what it answered and played again; the record that is nearest to its demands counts. Distance: largest one of the record, as a share of the one from which on a pass must not be used",
+        "Optima that the plant did not follow: inputs of the loops were corrected by what was missed, of the start alike, and played again. The record whose worst output is nearest to its demand counts, for all numbers above; what was promised stays. Distances are shares of the one from which on a pass must not be used",
     );
     for p in passes {
-        for t in &p.trials {
-            let counts = p.records.last().is_some_and(|r| r.name == t.record.name);
+        for t in p.learned.trials.iter().flat_map(|t| [&t.start, &t.optimum]) {
+            let counts = p.records.iter().any(|r| r.name == t.record.name);
             for m in t.misses.iter().filter(|m| m.measured_rms.is_some()) {
                 table = table.row([
                     t.record.name.as_str().into(),
@@ -170,6 +173,15 @@ fn trials(passes: &[Pass]) -> Table {
         }
     }
     table
+}
+
+/// A pass as its rows are named.
+fn named(p: &Pass) -> String {
+    match p.learned.trials.len() {
+        0 | 1 => format!("pass {}", p.pass),
+        2 => format!("pass {}, learned in one trial", p.pass),
+        n => format!("pass {}, learned in {} trials", p.pass, n - 1),
+    }
 }
 
 fn misses(passes: &[Pass]) -> Table {
