@@ -217,29 +217,15 @@ fn missed(map: &dyn FeedforwardMap, points: &[SteadyPoint]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::channels::ports;
     use super::*;
-    use dynocal_calib::map::{ActuatorPort, Port};
 
     /// A point counts where the loops hold its demand between their limits: beside it one whose throttle is fully open though the demand is
     /// met, one whose torque is short of what was asked by more than the verdict lets a map be, and one whose lambda is no number.
     #[test]
     fn a_point_that_is_not_held_is_none() {
         let problem = CalibrationProblem::thesis();
-        let port = |name: &str, unit: &str| Port { name: name.into(), unit: unit.into() };
-        let ports = Ports {
-            demands: problem.demands.iter().map(|d| port(&d.output, &d.unit)).collect(),
-            given: problem.given.iter().map(|g| port(&g.name, &g.unit)).collect(),
-            actuators: problem
-                .inputs
-                .iter()
-                .map(|i| ActuatorPort {
-                    name: i.name.clone(),
-                    unit: i.unit.clone(),
-                    lower: i.lower,
-                    upper: i.upper,
-                })
-                .collect(),
-        };
+        let ports = ports(&problem);
         let throttle = ports.actuators.iter().position(|a| a.name == "throttle").unwrap();
         let middle: Vec<f64> = ports.actuators.iter().map(|a| 0.5 * (a.lower + a.upper)).collect();
         let held = SteadyPoint { reference: vec![50.0, 1.0, 2000.0], actuators: middle };

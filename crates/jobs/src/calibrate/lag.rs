@@ -171,9 +171,9 @@ fn as_record(problem: &CalibrationProblem, drive: &Rows, scenario: &Scenario, sa
 
 #[cfg(test)]
 mod tests {
+    use super::super::channels::ports;
     use super::*;
     use dynocal_calib::map::static_map::StaticPoint;
-    use dynocal_calib::map::{ActuatorPort, Port, Ports};
     use dynocal_ident::model::poly::PolyNarx;
     use dynocal_ident::stored::Quantity;
 
@@ -181,21 +181,7 @@ mod tests {
 
     /// Throttle and injection grow with the torque alone: `throttle = inj = torque / 5`.
     fn map(problem: &CalibrationProblem) -> StaticMap {
-        let port = |name: &str, unit: &str| Port { name: name.into(), unit: unit.into() };
-        let ports = Ports {
-            demands: problem.demands.iter().map(|d| port(&d.output, &d.unit)).collect(),
-            given: problem.given.iter().map(|g| port(&g.name, &g.unit)).collect(),
-            actuators: problem
-                .inputs
-                .iter()
-                .map(|i| ActuatorPort {
-                    name: i.name.clone(),
-                    unit: i.unit.clone(),
-                    lower: i.lower,
-                    upper: i.upper,
-                })
-                .collect(),
-        };
+        let ports = ports(problem);
         let (demand, given) = (vec![10.0, 90.0], vec![1000.0, 3000.0]);
         let point = |torque: f64, speed: f64| StaticPoint {
             demand: torque,
