@@ -356,8 +356,9 @@ fn unexplained(
     for (r, pressure) in records.iter().zip(pressures) {
         let shown = richness(r, f, pressure);
         // The record first: at its end nothing more is taken of the others.
-        for ((lambda, phi), e) in r.lambda.iter().zip(shown).zip(out.by_ref()) {
-            *e = loss.of(1.0 / lambda - phi);
+        let from = r.counts_from();
+        for (t, ((lambda, phi), e)) in r.lambda.iter().zip(shown).zip(out.by_ref()).enumerate() {
+            *e = if t < from { 0.0 } else { loss.of(1.0 / lambda - phi) };
         }
     }
 }
@@ -395,7 +396,7 @@ fn unexplained_slopes(
     let mut from = 0;
     for (r, pressure) in records.iter().zip(pressures) {
         richness_slopes(r, f, pressure, &mut |t, phi, by| {
-            let weight = -loss.slope(1.0 / r.lambda[t] - phi);
+            let weight = if t < r.counts_from() { 0.0 } else { -loss.slope(1.0 / r.lambda[t] - phi) };
             out.iter_mut().zip(by).for_each(|(column, d)| column[from + t] = weight * d);
         });
         from += r.lambda.len();

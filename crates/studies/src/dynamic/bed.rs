@@ -13,6 +13,8 @@ use dynocal_plant::testbed::settings::BedOptions;
 pub(super) const SAMPLE_S: f64 = 0.01;
 /// Place of the coolant behind the five outputs of every bed.
 const COOLANT: usize = 5;
+/// Share by which fuel is moved in the records that ours drives, that of the job `fuelling`.
+pub(super) const MOVED: f64 = 0.08;
 /// Most fuel of an injection in mg.
 pub(super) const MOST_MG: f64 = 60.0;
 
@@ -94,6 +96,18 @@ impl Course {
             }
         }
         out.switches.push(out.torque_nm.len());
+        out
+    }
+
+    /// Shares by which fuel is moved in the middle third of each hold, up or down as drawn: where the air stands still they tell the film,
+    /// which goes with the air elsewhere.
+    pub(super) fn moved_fuel(&self, rng: &mut Rng64) -> Vec<f64> {
+        let mut out = vec![0.0; self.torque_nm.len()];
+        for w in self.switches.windows(2) {
+            let third = (w[1] - w[0]) / 3;
+            let share = if rng.uniform_in(0.0, 1.0) < 0.5 { MOVED } else { -MOVED };
+            out[w[0] + third..w[0] + 2 * third].fill(share);
+        }
         out
     }
 

@@ -4,6 +4,7 @@ use dynocal_calib::fuelling::{
     self, Coat, Feedback, FuelPolicy, Fuelling, FuellingError, SpeedDensity, TransientRecord,
 };
 use dynocal_calib::map::static_map::StaticMap;
+use dynocal_numerics::rng::Rng64;
 use dynocal_plant::bed::EngineBed;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -118,7 +119,8 @@ impl Contest<'_> {
         // Where the mixture is near its demand already, small errors of the model show.
         let by_ours = |(k, d): (usize, &Drive)| {
             let policy = FuelPolicy::new(first.clone(), MOST_MG);
-            let mut ours = Ours::new(self.base(0.0)?, policy, false);
+            let moved = d.course.moved_fuel(&mut Rng64::stream(self.seed + REPEATED, k as u64));
+            let mut ours = Ours::new(self.base(0.0)?, policy, false).moving(moved);
             play(&d.bed, self.seed + REPEATED + APART * k as u64, &d.course, &mut ours)
                 .map_err(|e| e.to_string())
         };

@@ -8,7 +8,7 @@
 //! driven by that map, identify all that needs identification: one of 180 s, in the second scenario three of 120 s that start at
 //! 20, 50 and 90 degC. What a rival has to tune it tunes by line searches on the bed over those records, by the
 //! lambda that the sensor shows. What was identified drives as many records again (twice as many where there is one), where the mixture
-//! is near its demand and small errors of the model show, and is identified from all of them; rivals tune on all of them too. All are judged by the lambda of the gas
+//! is near its demand and small errors of the model show, with fuel that is moved in the middle of each hold, and is identified from all of them; rivals tune on all of them too. All are judged by the lambda of the gas
 //! in the exhaust manifold. Beside them stands what is possible: fuel that is learned by trials on the judged record itself.
 
 mod bed;
@@ -83,7 +83,8 @@ fn tasks(o: &Options) -> Vec<Task> {
     let reduced = o.reduced;
     let task = |(scenario, engine, seed): (usize, String, u64)| {
         let name = format!("{scenario}-{}-{seed}", engine.replace(':', "-"));
-        let tried = json!([contest::LAGS_S, contest::AHEADS_S, contest::CLOSED_S, learned::PROBED]);
+        let tried =
+            json!([contest::LAGS_S, contest::AHEADS_S, contest::CLOSED_S, learned::PROBED, bed::MOVED]);
         Task {
             name: name.clone(),
             inputs: json!([scenario, engine, seed, reduced, MAP, STARTS_C, tried]),

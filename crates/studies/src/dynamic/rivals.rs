@@ -102,19 +102,29 @@ pub(super) struct Ours<'a> {
     policy: FuelPolicy,
     /// Whether it is shown what the lambda sensor shows.
     trimmed: bool,
+    /// Shares by which it moves its fuel, and the sample that is next; none: lambda stays at its demand.
+    moved: Vec<f64>,
+    at: usize,
 }
 
 impl<'a> Ours<'a> {
     pub(super) fn new(base: Mapped<'a>, policy: FuelPolicy, trimmed: bool) -> Self {
-        Self { base, policy, trimmed }
+        Self { base, policy, trimmed, moved: Vec::new(), at: 0 }
+    }
+
+    /// The same with fuel that is moved by shares, sample by sample.
+    pub(super) fn moving(self, moved: Vec<f64>) -> Self {
+        Self { moved, ..self }
     }
 }
 
 impl Controller for Ours<'_> {
     fn step(&mut self, torque_nm: f64, y: &Measured) -> Command {
         let u = self.base.step(torque_nm, y);
+        let lambda = 1.0 / (1.0 + self.moved.get(self.at).unwrap_or(&0.0));
+        self.at += 1;
         let injection_mg =
-            self.policy.step(&sensed(y, self.base.speed.now_rpm, u.throttle_deg, self.trimmed), 1.0);
+            self.policy.step(&sensed(y, self.base.speed.now_rpm, u.throttle_deg, self.trimmed), lambda);
         Command { injection_mg, ..u }
     }
 }

@@ -5,6 +5,9 @@ use crate::fuelling::charge::{Charge, TERMS};
 use crate::fuelling::coolant::CoolantLaw;
 use dynocal_numerics::linalg::least_squares;
 
+/// What was on the wall before a record began fades within this, or this part of a short one, in s.
+const FADES_S: f64 = 10.0;
+const FADES_PART: f64 = 0.1;
 /// Most of the pressure over that before the throttle: waves and noise show some behind an open throttle that is not boosted.
 const ABOVE: f64 = 1.05;
 
@@ -34,6 +37,13 @@ pub struct TransientRecord<'a> {
 }
 
 impl TransientRecord<'_> {
+    /// The first sample whose mixture counts: before it shows what was on the wall and in the pipes when the record began, which nobody knows. It was
+    /// nine tenths of all squares of records of a cold engine when it counted, and bent film and moments.
+    pub(super) fn counts_from(&self) -> usize {
+        let length_s = self.lambda.len() as f64 * self.sample_time_s;
+        (FADES_S.min(FADES_PART * length_s) / self.sample_time_s) as usize
+    }
+
     /// Coolant temperature of a sample; any number where it does not count.
     pub(super) fn coolant_c(&self, t: usize) -> f64 {
         self.coolant_c.map_or(0.0, |c| c[t])

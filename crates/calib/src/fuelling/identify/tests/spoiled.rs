@@ -55,3 +55,17 @@ fn older_files_are_read() {
     json["coolant"].as_object_mut().unwrap().remove("charge_ends_per_k").unwrap();
     assert_eq!(serde_json::from_value::<Fuelling>(json).unwrap(), f);
 }
+
+/// A port that was dry when the record began: what its film takes up is nothing of the model.
+#[test]
+fn what_was_on_the_wall_before_a_record_does_not_count() {
+    let truth = Fuelling { film: Film { share: 0.3, tau_s: 1.8 }, ..truth() };
+    let wet = record(&truth, 60);
+    let mut dry = wet.clone();
+    let takes_up = |t: usize| 0.3 * (-(t as f64) * DT / 1.8).exp();
+    dry[4].iter_mut().enumerate().for_each(|(t, lambda)| *lambda /= 1.0 - takes_up(t));
+    let of = |c: &Channels| identify(&[view(&scattered(c.clone()))], &|| false).unwrap();
+    let (a, b) = (of(&wet), of(&dry));
+    assert!((b.film.share / a.film.share - 1.0).abs() < 0.02, "{:?} {:?}", a.film, b.film);
+    assert!((b.film.tau_s / a.film.tau_s - 1.0).abs() < 0.02, "{:?} {:?}", a.film, b.film);
+}
