@@ -126,7 +126,7 @@ pub struct Fuelling {
     /// What is left of the records; none in files that do not say it.
     #[serde(default)]
     pub left: Option<Left>,
-    /// Root of the mean squared error of 1 / lambda over the record, errors beyond 0.05 by their logarithm.
+    /// Root of the mean squared error of 1 / lambda over the record, errors beyond 0.05 by their logarithm, those of its beginning as 0.
     pub rms: f64,
     /// Root of the mean squared error of the pressure over the record in kPa.
     pub pressure_rms_kpa: f64,

@@ -5,7 +5,7 @@ use crate::fuelling::charge::{Charge, TERMS};
 use crate::fuelling::coolant::CoolantLaw;
 use dynocal_numerics::linalg::least_squares;
 
-/// What was on the wall before a record began fades within this, or this part of a short one, in s.
+/// What was on the wall before a record began fades within this, five time constants of a film of a cold engine, or this part of a short one, in s.
 const FADES_S: f64 = 10.0;
 const FADES_PART: f64 = 0.1;
 /// Most of the pressure over that before the throttle: waves and noise show some behind an open throttle that is not boosted.
