@@ -34,6 +34,7 @@ mod coolant;
 mod feedback;
 mod filling;
 mod film;
+mod film_ends;
 mod foresight;
 mod identify;
 mod learning;
@@ -48,6 +49,7 @@ pub use coolant::{Air, CoolantLaw};
 pub use feedback::Feedback;
 pub use filling::{Filling, FillingState};
 pub use film::{Film, FilmState};
+pub use film_ends::FilmEnds;
 pub use identify::{
     FuellingError, STILL_S, SteadyPoint, TransientRecord, identify, identify_with, identify_without_film,
     steady_charge, steady_charge_with,
@@ -117,6 +119,9 @@ pub struct Fuelling {
     pub filling: Filling,
     /// Film.
     pub film: Film,
+    /// What speed and pressure do to it, where the records say it.
+    #[serde(default)]
+    pub film_ends: Option<FilmEnds>,
     /// Timing.
     pub timing: Timing,
     /// What the coolant does to film and charge, where the records say it.
@@ -150,6 +155,7 @@ impl Fuelling {
         }
         let positive = |v: f64| v > 0.0;
         let some = |v: f64| v >= 0.0;
+        let half = self.film_ends.map_or([1.0; 2], |e| [e.speed_rpm[1], e.pressure_kpa[1]]);
         for (key, found, fits, expected) in [
             ("sample_time_s", self.sample_time_s, positive(self.sample_time_s), "a positive number"),
             ("filling.upstream_kpa", f.upstream_kpa, positive(f.upstream_kpa), "a positive number"),
@@ -163,6 +169,8 @@ impl Fuelling {
                 "a number from 0 to below 1",
             ),
             ("film.tau_s", self.film.tau_s, positive(self.film.tau_s), "a positive number"),
+            ("film_ends.speed_rpm", half[0], positive(half[0]), "a positive half width"),
+            ("film_ends.pressure_kpa", half[1], positive(half[1]), "a positive half width"),
             ("timing.mixing_fuel", self.timing.mixing_fuel, some(self.timing.mixing_fuel), "a number from 0"),
             (
                 "timing.sensor_lag_s",
@@ -183,8 +191,19 @@ impl Fuelling {
         Air::new(&self.charge, self.coolant.as_ref(), coolant_c, cams_deg)
     }
 
-    /// The film at a coolant temperature.
+    /// The film at a coolant temperature, in the middle of speed and pressure.
     pub fn film_at(&self, coolant_c: f64) -> Film {
         self.coolant.map_or(self.film, |law| law.film(self.film, coolant_c))
+    }
+
+    /// The film at a coolant temperature, a speed and a manifold pressure.
+    pub fn film_of(&self, coolant_c: f64, speed_rpm: f64, pressure_kpa: f64) -> Film {
+        let middle = self.film_at(coolant_c);
+        self.film_ends.map_or(middle, |ends| ends.film(middle, speed_rpm, pressure_kpa))
+    }
+
+    /// The film with all that is known of it.
+    pub fn coat(&self) -> Coat {
+        Coat { film: self.film, law: self.coolant, ends: self.film_ends }
     }
 }

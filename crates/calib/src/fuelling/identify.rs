@@ -5,6 +5,8 @@ mod filled;
 mod follow;
 mod loss;
 mod moved;
+mod moving;
+mod parameters;
 mod record;
 mod search;
 mod steady;
@@ -27,6 +29,7 @@ use filled::{filled, refilled};
 use follow::{pressure, richness, richness_slopes};
 use loss::Loss;
 use moved::moved_at_rest;
+use parameters::{FILM, TIMING, given, half_k, has_film, taken};
 use record::{charge_at_rest, rested};
 use search::{Effort, Errors, Slopes, searched};
 use worth::block;
@@ -89,10 +92,6 @@ const LEAST_SHARE: f64 = 1e-4;
 const MOST_SHARE: f64 = 0.95;
 /// Times that throttle and filling are taken anew by the charge that the mixture gave.
 const ROUNDS: usize = 2;
-/// Parameters of film, timing and the law of the coolant, before those of the charge.
-const FILM: usize = 2;
-const TIMING: usize = 6;
-const LAW: usize = 5;
 /// Temperature of a coolant in K: gas that becomes a kelvin warmer is one over that thinner.
 const COOLANT_K: f64 = 340.0;
 
@@ -101,6 +100,14 @@ const COOLANT_K: f64 = 340.0;
 struct Measured<'a> {
     records: &'a [TransientRecord<'a>],
     steady: &'a [SteadyPoint],
+    /// Weights of all samples of the records ([`moving::weights`]); none: each counts alike.
+    weights: &'a [f64],
+}
+
+impl Measured<'_> {
+    fn weight(&self, t: usize) -> f64 {
+        self.weights.get(t).copied().unwrap_or(1.0)
+    }
 }
 
 /// Identifies charge, filling, film and timing from records that were made with one engine; where the coolant is given and its
@@ -131,7 +138,7 @@ pub fn identify_with(
     steady: &[SteadyPoint],
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Fuelling, FuellingError> {
-    identified(Measured { records, steady }, true, interrupt)
+    identified(Measured { records, steady, weights: &[] }, true, interrupt)
 }
 
 /// The same as if all fuel went into the cylinder at once: what a model without a film makes of the records.
@@ -142,7 +149,7 @@ pub fn identify_without_film(
     records: &[TransientRecord<'_>],
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Fuelling, FuellingError> {
-    identified(Measured { records, steady: &[] }, false, interrupt)
+    identified(Measured { records, steady: &[], weights: &[] }, false, interrupt)
 }
 
 fn identified(
@@ -158,13 +165,16 @@ fn identified(
     }
     let start = filled(records, &rested, start, interrupt)?;
     let found = corrected(measured, &start, interrupt)?;
-    let mut found = chosen(measured, &rested, found, interrupt)?;
+    let mut weights = moving::weights(records, &found, Loss::CHOOSING);
+    let mut found = chosen(Measured { weights: &weights, ..measured }, &rested, found, interrupt)?;
     // The policy fills the manifold by the charge that the mixture gave: so must the pressure that this charge was found with.
     for round in 1..=ROUNDS {
         found = refilled(records, &rested, found, interrupt)?;
         let loss = Loss::of_left(records, &found);
+        weights = moving::weights(records, &found, loss);
         // What is expected before any record is weighed by the errors as they count now.
-        let begun = Fuelling { rms: loss.rms(records, &found), ..found };
+        let begun = Fuelling { rms: loss.rms(records, &found, &weights), ..found };
+        let measured = Measured { weights: &weights, ..measured };
         let by = |effort| mixed_by(measured, (&begun, &begun), &|_| true, effort, interrupt);
         found = match by((if round == ROUNDS { Effort::Delivered } else { Effort::Compared }, loss)) {
             // Hardly anything tells: then as models are chosen.
@@ -174,8 +184,11 @@ fn identified(
     }
     let left: Vec<_> = records.iter().map(|r| residual(r, &found)).collect();
     found.left = Left::of(&left, found.sample_time_s);
-    found.trim = Trim::suited(&left_apart(measured, &found, interrupt)?, found.sample_time_s);
-    found.rms = Loss::CHOOSING.rms(records, &found);
+    found.trim = Trim::suited(
+        &left_apart(Measured { weights: &weights, ..measured }, &found, interrupt)?,
+        found.sample_time_s,
+    );
+    found.rms = Loss::CHOOSING.rms(records, &found, &[]);
     Ok(found)
 }
 
@@ -273,6 +286,7 @@ fn started(records: &[TransientRecord<'_>], rested: &[SteadyPoint]) -> Result<Fu
             correction_per_s: 0.5,
         },
         film: Film { share: 1.0 / (1.0 + 1.5_f64.exp()), tau_s: 6.0 * cycle_s },
+        film_ends: None,
         timing: Timing {
             charge_s: 0.0,
             charge_cycles: 0.5,
@@ -306,14 +320,19 @@ fn mixed(
 
 /// The same by the samples of all records that `counts` takes.
 fn mixed_by(
-    Measured { records, steady }: Measured<'_>,
+    measured: Measured<'_>,
     (start, from): (&Fuelling, &Fuelling),
     counts: &(dyn Fn(usize) -> bool + Sync),
     (effort, loss): (Effort, Loss),
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
+    let Measured { records, steady, .. } = measured;
     let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, start)).collect();
     let samples = length(records);
+    let weigh = |of: &mut [f64]| {
+        let all = of.iter_mut().take(samples).enumerate();
+        all.for_each(|(t, e)| *e *= if counts(t) { measured.weight(t) } else { 0.0 });
+    };
     let counted = (0..samples).filter(|t| counts(*t)).count();
     let expected = prior(start);
     let errors = |x: &[f64], out: &mut [f64]| {
@@ -329,13 +348,13 @@ fn mixed_by(
             return false;
         }
         unexplained(records, &pressures, &f, loss, out);
-        out.iter_mut().enumerate().filter(|(t, _)| !counts(*t)).for_each(|(_, e)| *e = 0.0);
+        weigh(out);
         out.iter().chain(points.iter()).all(|e| e.is_finite())
     };
     let slopes = |x: &[f64], out: &mut [Vec<f64>]| {
         let f = taken(x, start);
         unexplained_slopes(records, &pressures, &f, loss, out);
-        out.iter_mut().for_each(|c| (0..samples).filter(|t| !counts(*t)).for_each(|t| c[t] = 0.0));
+        out.iter_mut().for_each(|column| weigh(column));
         steady::unexplained_slopes(steady, &f, loss, samples, out);
     };
     let rows = samples + steady.len() + expected.len();
@@ -432,66 +451,6 @@ fn residual(r: &TransientRecord<'_>, f: &Fuelling) -> (Vec<f64>, usize) {
     let late_s = (0..n).map(late).sum::<f64>() / n as f64;
     let errors = r.lambda.iter().zip(shown).map(|(lambda, phi)| (phi * lambda).max(1e-3).ln()).collect();
     (errors, (late_s / r.sample_time_s).round() as usize)
-}
-
-/// Without a share on the wall there is no film to search.
-fn has_film(f: &Fuelling) -> bool {
-    f.film.share > 0.0
-}
-
-/// The half width of the temperatures: slopes are searched over it.
-fn half_k(f: &Fuelling) -> Option<f64> {
-    f.coolant.map(|l| 0.5 * (l.range_c[1] - l.range_c[0]))
-}
-
-/// The parameters of a search: share (logit), tau, timing (logarithms where they are positive), law, cams, charge.
-fn given(f: &Fuelling) -> Vec<f64> {
-    let t = &f.timing;
-    let mut x = Vec::new();
-    if has_film(f) {
-        x.extend([(f.film.share / (1.0 - f.film.share)).ln(), f.film.tau_s.ln()]);
-    }
-    x.extend([t.charge_s, t.charge_cycles]);
-    x.extend([t.transport_cycles, t.transport_fuel, t.mixing_fuel, t.sensor_lag_s].map(|v| v.max(1e-9).ln()));
-    if let (Some(l), Some(half)) = (&f.coolant, half_k(f)) {
-        let [by_speed, by_pressure] = l.charge_ends_per_k;
-        x.extend([l.share_per_k, l.tau_per_k, l.charge_per_k, by_speed, by_pressure].map(|v| v * half));
-    }
-    if let Some(l) = &f.charge.cams {
-        x.extend(l.given());
-    }
-    x.extend(&f.charge.coefficients);
-    x
-}
-
-/// The reverse of [`given`].
-fn taken(x: &[f64], start: &Fuelling) -> Fuelling {
-    let (film, x) = match has_film(start) {
-        true => (Film { share: 1.0 / (1.0 + (-x[0]).exp()), tau_s: x[1].exp() }, &x[FILM..]),
-        false => (start.film, x),
-    };
-    let timing = Timing {
-        charge_s: x[0],
-        charge_cycles: x[1],
-        transport_cycles: x[2].exp(),
-        transport_fuel: x[3].exp(),
-        mixing_fuel: x[4].exp(),
-        sensor_lag_s: x[5].exp(),
-    };
-    let mut from = TIMING;
-    let mut coolant = start.coolant;
-    if let (Some(l), Some(half)) = (&mut coolant, half_k(start)) {
-        let at = |k: usize| x[TIMING + k] / half;
-        [l.share_per_k, l.tau_per_k, l.charge_per_k] = [0, 1, 2].map(at);
-        l.charge_ends_per_k = [3, 4].map(at);
-        from += LAW;
-    }
-    let mut charge = start.charge.clone();
-    if let Some(l) = &mut charge.cams {
-        from += l.take(&x[from..]);
-    }
-    charge.coefficients = x[from..].to_vec();
-    Fuelling { film, timing, coolant, charge, ..start.clone() }
 }
 
 #[cfg(test)]

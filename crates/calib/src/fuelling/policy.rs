@@ -184,7 +184,7 @@ impl FuelPolicy {
         };
         self.foresight.foreseen(charge);
         let wanted = (factor * lacked * charge / demanded).max(0.0);
-        let film = f.film_at(y.coolant_c);
+        let film = f.film_of(y.coolant_c, speed_rpm, now_kpa);
         let on_wall = self.film.get_or_insert_with(|| film.at_rest(wanted, speed_rpm));
         let mut before = *on_wall;
         let injection = match lambda {

@@ -5,6 +5,7 @@ use super::charge::Charge;
 use super::coolant::{Air, CoolantLaw};
 use super::feedback::{Feedback, FeedbackState};
 use super::film::{Film, FilmState};
+use super::film_ends::FilmEnds;
 use super::policy::Sensed;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -14,19 +15,23 @@ const SLOPE_S: f64 = 0.03;
 /// Pressures beyond these in kPa are no extrapolation.
 const LEAST_KPA: f64 = 10.0;
 
-/// A film with what the coolant does to it.
+/// A film with what coolant, speed and pressure do to it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Coat {
     /// Film.
     pub film: Film,
     /// What the coolant does to it, if that is known.
     pub law: Option<CoolantLaw>,
+    /// What speed and pressure do to it, if that is known.
+    #[serde(default)]
+    pub ends: Option<FilmEnds>,
 }
 
 impl Coat {
-    /// The film at a coolant temperature.
-    pub fn at(&self, coolant_c: f64) -> Film {
-        self.law.map_or(self.film, |law| law.film(self.film, coolant_c))
+    /// The film at a coolant temperature, a speed and a manifold pressure.
+    pub fn at(&self, coolant_c: f64, speed_rpm: f64, pressure_kpa: f64) -> Film {
+        let middle = self.law.map_or(self.film, |law| law.film(self.film, coolant_c));
+        self.ends.map_or(middle, |ends| ends.film(middle, speed_rpm, pressure_kpa))
     }
 }
 
@@ -122,7 +127,7 @@ impl SpeedDensityState {
         let demanded = lambda.unwrap_or(1.0);
         let trim = self.loop_of.factor(self.ecu.feedback, y, (demanded, flow), dt_s);
         let wanted = (now * trim / demanded).max(0.0);
-        let film = self.ecu.film.map(|coat| coat.at(y.coolant_c));
+        let film = self.ecu.film.map(|coat| coat.at(y.coolant_c, y.speed_rpm, y.map_kpa));
         let state = film.map(|film| self.film.get_or_insert_with(|| film.at_rest(wanted, y.speed_rpm)));
         match (film.zip(state), lambda) {
             (None, Some(_)) => wanted.min(self.most),

@@ -12,7 +12,7 @@ use crate::fuelling::stored::{FUELLING_FILE, FUELLING_SCHEMA, FUELLING_VERSION, 
 use crate::fuelling::work::{AHEADS_S, CLOSED_S};
 use crate::fuelling::{self, FuellingJobError};
 use crate::place::Overrides;
-use dynocal_calib::fuelling::{Coat, Feedback, FuelPolicy, SpeedDensity, SpeedDensityState};
+use dynocal_calib::fuelling::{Feedback, FuelPolicy, SpeedDensity, SpeedDensityState};
 use dynocal_calib::map::FeedforwardMap;
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::validate::{Scenario, random_points, score};
@@ -413,7 +413,7 @@ impl<'a, 'c> Fuelled<'a, 'c> {
             law: f.coolant,
             most_kpa: self.stored.seen.map_kpa[1].max(f.filling.upstream_kpa),
             ahead_s: 0.0,
-            film: Some(Coat { film: f.film, law: f.coolant }),
+            film: Some(f.coat()),
             feedback: None,
         };
         let cost = |ecu: &SpeedDensity| -> Result<f64, ChainError> {

@@ -6,6 +6,7 @@ use dynocal_export::package::{Package, Provenance, ValidRange};
 use super::Made;
 use crate::fuelling::store::throttle;
 use crate::fuelling::stored::StoredFuelling;
+use dynocal_calib::fuelling::Film;
 
 fn axis(name: &str, unit: &str, input: &str, points: &[f64]) -> Axis {
     Axis {
@@ -74,6 +75,24 @@ fn cams(stored: &StoredFuelling) -> Vec<Characteristic> {
     let what = "logarithm of the charge for the product of both distances";
     all.push(table("FUEL_CAMS_BOTH", what, "1/deg^2", vec![], vec![bends.both]));
     all
+}
+
+/// What speed and pressure make of the film: X / (1 - X) and tau are those of `FILM_SHARE` and `FILM_TAU` times these. At their breakpoints the model itself.
+fn film_ends(stored: &StoredFuelling) -> Vec<Characteristic> {
+    let (f, t) = (&stored.fuelling, &stored.tables);
+    let Some(ends) = f.film_ends else { return Vec::new() };
+    let even = Film { share: 0.5, tau_s: 1.0 };
+    let over = |of: fn(Film) -> f64| -> Vec<f64> {
+        let row = |p: &f64| t.speed_rpm.iter().map(|n| of(ends.film(even, *n, *p))).collect::<Vec<_>>();
+        t.map_kpa.iter().flat_map(row).collect()
+    };
+    let axes =
+        || vec![axis("FUEL_SPEED", "rpm", "speed", &t.speed_rpm), axis("FUEL_MAP", "kPa", "map", &t.map_kpa)];
+    let odds = "factor on FILM_SHARE / (1 - FILM_SHARE)";
+    vec![
+        table("FILM_ODDS_FACTOR", odds, "-", axes(), over(|x| x.share / (1.0 - x.share))),
+        table("FILM_TAU_FACTOR", "factor on FILM_TAU", "-", axes(), over(|x| x.tau_s)),
+    ]
 }
 
 /// Tables and scalars.
@@ -150,6 +169,7 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
         ));
         all.push(table("FILM_TAU", "time constant of its evaporation", "s", vec![], vec![f.film.tau_s]));
     }
+    all.extend(film_ends(stored));
     all.extend(cams(stored));
     let scalars = [
         ("FUEL_AHEAD", "from injection to the pressure that counts, constant part", "s", f.timing.charge_s),
@@ -220,7 +240,29 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
 mod tests {
     use super::*;
     use crate::fuelling::stored::tests::stored;
-    use dynocal_calib::fuelling::{CamBends, CamLaw, CoolantLaw};
+    use dynocal_calib::fuelling::{CamBends, CamLaw, Charge, CoolantLaw, FilmEnds};
+
+    /// What is said of the tables of the film gives what the model does, at a breakpoint; without ends there are none.
+    #[test]
+    fn tables_of_the_film_are_its_law() {
+        let mut s = stored(|n, p| 1e-4 * n * p);
+        assert!(!fuelling(&s).package.characteristics.iter().any(|c| c.name.ends_with("_FACTOR")));
+        let Charge { speed_rpm, pressure_kpa, .. } = s.fuelling.charge;
+        s.fuelling.film_ends =
+            Some(FilmEnds { speed_rpm, pressure_kpa, share: [-0.2, 0.1], tau: [0.3, -0.1] });
+        let made = fuelling(&s).package;
+        let of = |name: &str| &made.characteristics.iter().find(|c| c.name == name).unwrap().values;
+        let at = 2 * s.tables.speed_rpm.len() + 1;
+        let share = of("FILM_SHARE")[0];
+        let odds = share / (1.0 - share) * of("FILM_ODDS_FACTOR")[at];
+        let truth = s.fuelling.film_of(90.0, s.tables.speed_rpm[1], s.tables.map_kpa[2]);
+        assert!((odds / (1.0 + odds) / truth.share - 1.0).abs() < 1e-9, "{odds} {truth:?}");
+        assert!(
+            (of("FILM_TAU")[0] * of("FILM_TAU_FACTOR")[at] / truth.tau_s - 1.0).abs() < 1e-9,
+            "{truth:?}"
+        );
+        assert!((truth.tau_s / s.fuelling.film.tau_s - 1.0).abs() > 1e-3, "{truth:?}");
+    }
 
     /// What is said of the tables of the cams gives what the model does, at a breakpoint.
     #[test]

@@ -141,6 +141,15 @@ fn identified(found: &Fuelled) -> Section {
         rows.push(("time constant of the film at the coldest coolant", f.film_at(law.range_c[0]).tau_s, "s"));
         rows.push(("and at the warmest", f.film_at(law.range_c[1]).tau_s, "s"));
     }
+    if let Some(e) = &f.film_ends {
+        for (what, [speed, pressure]) in [
+            ("share over one minus share, logarithm for half the range of the speed", e.share),
+            ("time constant of the film, logarithm for half the range of the speed", e.tau),
+        ] {
+            rows.push((what, speed, "-"));
+            rows.push(("the same for half the range of the pressure", pressure, "-"));
+        }
+    }
     if let Some([_, [intake, exhaust]]) = f.charge.cams_at(f.charge.speed_rpm[0], f.charge.pressure_kpa[0]) {
         rows.push((
             "charge for one degree of the intake cam, middle of the records",

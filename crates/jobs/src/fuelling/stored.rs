@@ -121,6 +121,7 @@ pub(crate) mod tests {
                     sensor_lag_s: 0.1,
                 },
                 coolant: None,
+                film_ends: None,
                 trim: None,
                 left: None,
                 rms: 0.01,

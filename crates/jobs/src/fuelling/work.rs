@@ -1,7 +1,7 @@
 //! The work: identify, judge on what was not seen, and on a plant drive against a speed-density ECU at its best.
 
 use dynocal_calib::fuelling::{
-    Coat, Feedback, FuelPolicy, Fuelling, FuellingError, SpeedDensity, SpeedDensityState, identify,
+    Feedback, FuelPolicy, Fuelling, FuellingError, SpeedDensity, SpeedDensityState, identify,
     identify_without_film, steady_charge,
 };
 use dynocal_numerics::rng::Rng64;
@@ -197,7 +197,7 @@ fn rivals(
 ) -> Result<Vec<(String, SpeedDensity)>, FuellingJobError> {
     let (charge, law) = steady_charge(&views(job, learn)).map_err(failed(learn))?;
     let f = &known.fuelling;
-    let film = Some(Coat { film: f.film, law: f.coolant });
+    let film = Some(f.coat());
     let plain = |charge, law| SpeedDensity {
         sample_time_s: f.sample_time_s,
         charge,

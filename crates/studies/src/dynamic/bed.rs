@@ -168,7 +168,7 @@ pub(super) fn exact_film(parameters: &str) -> Result<Option<Coat>, EngineError> 
         charge_ends_per_k: [0.0; 2],
     };
     let film = |f: FilmModel| Film { share: f.share, tau_s: f.tau_s * factor(90.0) };
-    Ok(params.port.map(|f| Coat { film: film(f), law: Some(law) }))
+    Ok(params.port.map(|f| Coat { film: film(f), law: Some(law), ends: None }))
 }
 
 /// Plays a course.

@@ -167,7 +167,7 @@ impl Contest<'_> {
     }
 
     fn rivals(&self, known: &Known) -> Vec<(String, Rival)> {
-        let found = Coat { film: known.fuelling.film, law: known.fuelling.coolant };
+        let found = known.fuelling.coat();
         let mut out = vec![
             (STATIC.to_string(), Rival::Map { searched: false }),
             (LAGGED.into(), Rival::Map { searched: true }),

@@ -9,11 +9,11 @@ use super::{
     CORRECTIONS, FuellingError, Loss, Measured, SteadyPoint, corrected, has_film, length, mixed, mixed_by,
     unexplained,
 };
-use crate::fuelling::Fuelling;
 use crate::fuelling::cams::CamBends;
 use crate::fuelling::charge::Charge;
 use crate::fuelling::filling::Filling;
 use crate::fuelling::film::Film;
+use crate::fuelling::{FilmEnds, Fuelling};
 
 /// Of a model the one with what cams do to the charge, where they are measured and that is worth its parameters, and without a film
 /// that is not worth its two: on the halves of the blocks of the records that did not fit it the richer model must leave less
@@ -56,7 +56,22 @@ pub(super) fn chosen(
     let mut bare = Judged { start: dry, ..Judged::of(bare) };
     let apart = bare.left(measured, Effort::Compared, interrupt)?;
     let film_pays = pays(apart, best.left(measured, Effort::Judged, interrupt)?);
-    Ok(if film_pays { best.fuelling } else { bare.fuelling })
+    if film_pays { with_ends(measured, best, interrupt) } else { Ok(bare.fuelling) }
+}
+
+/// A film over speed and pressure, if it pays beside one that is the same everywhere, behind the same manifold.
+fn with_ends(
+    measured: Measured<'_>,
+    mut plain: Judged,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
+    let Charge { speed_rpm, pressure_kpa, .. } = plain.fuelling.charge;
+    let ends = FilmEnds { speed_rpm, pressure_kpa, share: [0.0; 2], tau: [0.0; 2] };
+    let start = Fuelling { film_ends: Some(ends), ..plain.fuelling.clone() };
+    let mut rich = Judged::of(mixed(measured, &start, &start, Effort::Compared, interrupt)?);
+    let apart = plain.left(measured, Effort::Judged, interrupt)?;
+    let ends_pay = pays(apart, rich.left(measured, Effort::Judged, interrupt)?);
+    Ok(if ends_pay && !swings(&rich.fuelling) { rich.fuelling } else { plain.fuelling })
 }
 
 /// A model that was fitted to all, with its errors on each half of the blocks when it is fitted to the other one: where they are known.
@@ -103,15 +118,18 @@ fn judged_apart(
         let by = (effort, Loss::CHOOSING);
         let fitted = mixed_by(measured, (start, from), &|t| !apart(t), by, interrupt)?;
         unexplained(records, &pressures, &fitted, Loss::CHOOSING, &mut half);
-        (0..samples).filter(|t| apart(*t)).for_each(|t| out[t] = half[t]);
+        (0..samples).filter(|t| apart(*t)).for_each(|t| out[t] = measured.weight(t) * half[t]);
     }
     Ok(out)
 }
 
-/// Whether the inverse of the film is unstable or swings at a temperature of the records.
+/// Whether the inverse of the film is unstable or swings at a temperature, a speed and a pressure of the records.
 fn swings(found: &Fuelling) -> bool {
     let ends = found.coolant.map_or(vec![0.0], |law| law.range_c.to_vec());
-    ends.iter().any(|c| found.film_at(*c).inverse_pole(found.sample_time_s) < 0.0)
+    // Without them the film is the same everywhere.
+    let corners = found.film_ends.map_or(vec![[0.0; 2]], |e| e.corners().to_vec());
+    let swings = |c: f64, [n, p]: [f64; 2]| found.film_of(c, n, p).inverse_pole(found.sample_time_s) < 0.0;
+    ends.iter().any(|c| corners.iter().any(|at| swings(*c, *at)))
 }
 
 /// A model with what cams that are not at rest do to the charge; none where they are not measured.

@@ -45,10 +45,11 @@ fn between(v: &[f64], t: f64) -> f64 {
 /// What is in the cylinders over what makes lambda 1, injection by injection, and speed and pressure of the air that it meets.
 fn in_cylinder(r: &TransientRecord<'_>, f: &Fuelling, pressure: &[f64]) -> (Vec<f64>, Vec<[f64; 2]>) {
     let (dt, timing): (f64, &Timing) = (r.sample_time_s, &f.timing);
-    let mut state = f.film_at(r.coolant_c(0)).at_rest(r.injection[0], r.speed_rpm[0]);
+    let film = |t: usize| f.film_of(r.coolant_c(t), r.speed_rpm[t], pressure[t]);
+    let mut state = film(0).at_rest(r.injection[0], r.speed_rpm[0]);
     let of = |t: usize| {
         let speed = r.speed_rpm[t];
-        let fuel = f.film_at(r.coolant_c(t)).forward(&mut state, r.injection[t], speed, dt);
+        let fuel = film(t).forward(&mut state, r.injection[t], speed, dt);
         let met = t as f64 + (timing.charge_s + timing.charge_cycles * 120.0 / speed) / dt;
         // Known a sample after they were.
         let cams_deg = r.cams_deg.map(|cams| cams.map(|c| between(c, met - 1.0)));

@@ -43,11 +43,12 @@ impl Loss {
         1.0 / (1.0 + e * e).sqrt()
     }
 
-    /// Root of the mean square of what the errors of 1 / lambda of a model count as.
-    pub(super) fn rms(self, records: &[TransientRecord<'_>], f: &Fuelling) -> f64 {
+    /// Root of the mean square of what the errors of 1 / lambda of a model count as, with weights of the samples if there are any.
+    pub(super) fn rms(self, records: &[TransientRecord<'_>], f: &Fuelling, weights: &[f64]) -> f64 {
         let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, f)).collect();
         let mut errors = vec![0.0; length(records)];
         unexplained(records, &pressures, f, self, &mut errors);
+        errors.iter_mut().zip(weights).for_each(|(e, w)| *e *= w);
         (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt()
     }
 }

@@ -6,6 +6,7 @@ use dynocal_numerics::rng::Rng64;
 const DT: f64 = 0.01;
 
 mod cams;
+mod moving;
 mod spoiled;
 mod steady;
 mod trimmed;
@@ -44,6 +45,7 @@ fn truth() -> Fuelling {
         film,
         timing,
         coolant: None,
+        film_ends: None,
         trim: None,
         left: None,
         rms: 0.0,
@@ -139,7 +141,7 @@ fn view(c: &Channels) -> TransientRecord<'_> {
 }
 
 fn alone<'a>(records: &'a [TransientRecord<'a>]) -> Measured<'a> {
-    Measured { records, steady: &[] }
+    Measured { records, steady: &[], weights: &[] }
 }
 
 #[test]
@@ -318,7 +320,7 @@ fn records_at_several_temperatures_give_the_law_of_the_coolant_back() {
 /// A cut dries the wall by exp(-t / tau), and the first injection after it gives the wall what it has lost: policy and ECU.
 #[test]
 fn a_cut_leaves_the_wall_dry() {
-    use crate::fuelling::{Coat, SpeedDensity, SpeedDensityState};
+    use crate::fuelling::{SpeedDensity, SpeedDensityState};
     let f = truth();
     let (speed_rpm, map_kpa, throttle_deg) = (2000.0, 50.0, 15.0);
     let y = sensed(speed_rpm, throttle_deg, map_kpa, None);
@@ -329,7 +331,7 @@ fn a_cut_leaves_the_wall_dry() {
         law: None,
         most_kpa: 100.0,
         ahead_s: 0.0,
-        film: Some(Coat { film: f.film, law: None }),
+        film: Some(f.coat()),
         feedback: None,
     };
     for cut in [10, 40, 400] {

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use dynocal_calib::fuelling::{
-    self, Coat, Feedback, FuelPolicy, Fuelling, Sensed, SpeedDensity, SpeedDensityState, TransientRecord,
+    self, Feedback, FuelPolicy, Fuelling, Sensed, SpeedDensity, SpeedDensityState, TransientRecord,
 };
 use dynocal_numerics::rng::Rng64;
 use dynocal_plant::engine::VirtualEngine;
@@ -244,7 +244,7 @@ fn measured(mapped: &str, stop: &(dyn Fn() -> bool + Sync)) -> Result<Known, Str
         law,
         most_kpa: if boost_kpa(&engine).is_some() { MOST_KPA.1 } else { MOST_KPA.0 },
         ahead_s: 0.0,
-        film: Some(Coat { film: fuelling.film, law: fuelling.coolant }),
+        film: Some(fuelling.coat()),
         feedback: None,
     };
     // Loops and the rival are tuned on the second course, without the steps of the fuel.
