@@ -120,7 +120,7 @@ pub struct Fuelling {
     /// Film.
     pub film: Film,
     /// What speed and pressure do to it, where the records say it.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub film_ends: Option<FilmEnds>,
     /// Timing.
     pub timing: Timing,
@@ -181,6 +181,18 @@ impl Fuelling {
         ] {
             if !(fits && found.is_finite()) {
                 return Err(format!("`{key}`: found {found}, expected {expected}"));
+            }
+        }
+        let Some(ends) = &self.film_ends else { return Ok(()) };
+        for coolant_c in self.coolant.map_or(vec![0.0], |law| law.range_c.to_vec()) {
+            for [n, p] in ends.corners() {
+                let film = self.film_of(coolant_c, n, p);
+                if !((0.0..1.0).contains(&film.share) && film.tau_s > 0.0 && film.tau_s.is_finite()) {
+                    return Err(format!(
+                        "`film_ends`: found a film of share {} and {} s at {n} rpm and {p} kPa, expected a share from 0 to below 1 and a positive time",
+                        film.share, film.tau_s
+                    ));
+                }
             }
         }
         Ok(())

@@ -22,7 +22,7 @@ use super::filling::Filling;
 use super::film::Film;
 use super::trim::Trim;
 use super::{Fuelling, Timing};
-use chosen::chosen;
+use chosen::{chosen, swings};
 use dynocal_numerics::linalg::LinalgError;
 use dynocal_numerics::status::Status;
 use filled::{filled, refilled};
@@ -123,13 +123,13 @@ pub fn identify(
 }
 
 /// The same with steady points of the engine beside the records: those of its steady map, whose pressures and loads a short record does not
-/// reach. Throttle and charge go by them as by the rests of the records, and in the last searches each counts as a second of a record,
+/// reach. Throttle and charge go by them as by the rests of the records, and in the last searches each counts as a second of a record at rest,
 ///
 /// ```text
-/// sum over samples of l(1/lambda - 1/lambda shown)^2  +  sum over points of (1 s / dt) l(fuel / c - 1)^2
+/// sum over samples of w^2 l(1/lambda - 1/lambda shown)^2  +  sum over points of (1 s / dt) l(fuel / c - 1)^2
 /// ```
 ///
-/// with l as all errors count (large ones by their logarithm), and c the charge at the speed, pressure, coolant and cams of the point.
+/// with w 1 where nothing moves and less where something does, l as all errors count (large ones by their logarithm), and c the charge at the speed, pressure, coolant and cams of the point.
 ///
 /// # Errors
 /// [`FuellingError`]; [`FuellingError::Channel`] for a point that is no number, or that has no cams where the records have them.
@@ -165,22 +165,20 @@ fn identified(
     }
     let start = filled(records, &rested, start, interrupt)?;
     let found = corrected(measured, &start, interrupt)?;
-    let mut weights = moving::weights(records, &found, Loss::CHOOSING);
+    // A model without a film leaves what goes with movement, and is not let off it.
+    let weighed = |f: &Fuelling, loss| if with_film { moving::weights(records, f, loss) } else { Vec::new() };
+    let mut weights = weighed(&found, Loss::CHOOSING);
     let mut found = chosen(Measured { weights: &weights, ..measured }, &rested, found, interrupt)?;
     // The policy fills the manifold by the charge that the mixture gave: so must the pressure that this charge was found with.
     for round in 1..=ROUNDS {
         found = refilled(records, &rested, found, interrupt)?;
         let loss = Loss::of_left(records, &found);
-        weights = moving::weights(records, &found, loss);
+        weights = weighed(&found, loss);
         // What is expected before any record is weighed by the errors as they count now.
         let begun = Fuelling { rms: loss.rms(records, &found, &weights), ..found };
         let measured = Measured { weights: &weights, ..measured };
-        let by = |effort| mixed_by(measured, (&begun, &begun), &|_| true, effort, interrupt);
-        found = match by((if round == ROUNDS { Effort::Delivered } else { Effort::Compared }, loss)) {
-            // Hardly anything tells: then as models are chosen.
-            Err(FuellingError::Search { .. }) => by((Effort::Delivered, Loss::CHOOSING))?,
-            found => found?,
-        };
+        let effort = if round == ROUNDS { Effort::Delivered } else { Effort::Compared };
+        found = once_more(measured, begun, (effort, loss), interrupt)?;
     }
     let left: Vec<_> = records.iter().map(|r| residual(r, &found)).collect();
     found.left = Left::of(&left, found.sample_time_s);
@@ -190,6 +188,29 @@ fn identified(
     );
     found.rms = Loss::CHOOSING.rms(records, &found, &[]);
     Ok(found)
+}
+
+/// One of the last fits. Where slopes of the film over speed and pressure run away, or its inverse would swing with them, without them.
+fn once_more(
+    measured: Measured<'_>,
+    begun: Fuelling,
+    (effort, loss): (Effort, Loss),
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
+    let fit = |begun: &Fuelling| {
+        let by = |effort| mixed_by(measured, (begun, begun), &|_| true, effort, interrupt);
+        match by((effort, loss)) {
+            // Hardly anything tells: then as models are chosen.
+            Err(FuellingError::Search { .. }) => by((Effort::Delivered, Loss::CHOOSING)),
+            found => found,
+        }
+    };
+    let found = fit(&begun);
+    let astray = match &found {
+        Ok(f) => f.film_ends.is_some() && swings(f),
+        Err(e) => begun.film_ends.is_some() && matches!(e, FuellingError::Search { .. }),
+    };
+    if astray { fit(&Fuelling { film_ends: None, ..begun }) } else { found }
 }
 
 /// What is left of each half of the blocks of the records by the model that is fitted to the other one: a trim has to take out what a model
@@ -331,7 +352,7 @@ fn mixed_by(
     let samples = length(records);
     let weigh = |of: &mut [f64]| {
         let all = of.iter_mut().take(samples).enumerate();
-        all.for_each(|(t, e)| *e *= if counts(t) { measured.weight(t) } else { 0.0 });
+        all.for_each(|(t, e)| *e = if counts(t) { measured.weight(t) * *e } else { 0.0 });
     };
     let counted = (0..samples).filter(|t| counts(*t)).count();
     let expected = prior(start);

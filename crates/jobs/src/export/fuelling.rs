@@ -120,20 +120,24 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
             flows,
         ),
     ];
+    let middle = match f.film_ends {
+        Some(_) => ", in the middle of speed and pressure: see FILM_ODDS_FACTOR and FILM_TAU_FACTOR",
+        None => "",
+    };
     if f.coolant.is_some() && !t.coolant_c.is_empty() {
         let coolant = || vec![axis("FUEL_COOLANT", "degC", "coolant", &t.coolant_c)];
         let film: Vec<_> = t.coolant_c.iter().map(|c| f.film_at(*c)).collect();
         let factor = t.coolant_c.iter().map(|c| f.air(*c, None).factor).collect();
         all.push(table(
             "FILM_SHARE",
-            "share of the fuel that wets the wall",
+            &format!("share of the fuel that wets the wall{middle}"),
             "-",
             coolant(),
             film.iter().map(|x| x.share).collect(),
         ));
         all.push(table(
             "FILM_TAU",
-            "time constant of its evaporation",
+            &format!("time constant of its evaporation{middle}"),
             "s",
             coolant(),
             film.iter().map(|x| x.tau_s).collect(),
@@ -162,12 +166,13 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
     } else {
         all.push(table(
             "FILM_SHARE",
-            "share of the fuel that wets the wall",
+            &format!("share of the fuel that wets the wall{middle}"),
             "-",
             vec![],
             vec![f.film.share],
         ));
-        all.push(table("FILM_TAU", "time constant of its evaporation", "s", vec![], vec![f.film.tau_s]));
+        let what = format!("time constant of its evaporation{middle}");
+        all.push(table("FILM_TAU", &what, "s", vec![], vec![f.film.tau_s]));
     }
     all.extend(film_ends(stored));
     all.extend(cams(stored));

@@ -114,8 +114,8 @@ fn identified(found: &Fuelled) -> Section {
     let f = &found.fuelling;
     let head = vec![Column::text("What"), Column::number("Value", "").digits(4), Column::text("Unit")];
     let mut rows = vec![
-        ("share of the fuel that wets the wall", f.film.share, "-"),
-        ("time constant of its evaporation", f.film.tau_s, "s"),
+        ("share of the fuel that wets the wall, middle of speed and pressure", f.film.share, "-"),
+        ("time constant of its evaporation, there", f.film.tau_s, "s"),
         ("from injection to its air, constant part", f.timing.charge_s, "s"),
         ("and in cycles", f.timing.charge_cycles, "cycles"),
         ("transport to the sensor", f.timing.transport_cycles, "cycles"),

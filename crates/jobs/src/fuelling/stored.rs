@@ -88,7 +88,7 @@ impl StoredFuelling {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use dynocal_calib::fuelling::{Charge, Filling, Film, Timing};
+    use dynocal_calib::fuelling::{Charge, Filling, Film, FilmEnds, Timing};
 
     /// The charge 1e-4 n p: bilinear, so that tables lose nothing; with p squared the loss is that of a chord of a parabola.
     pub(crate) fn stored(truth: impl Fn(f64, f64) -> f64) -> StoredFuelling {
@@ -153,7 +153,13 @@ pub(crate) mod tests {
             s.check().unwrap_err()
         };
         type Change = fn(&mut StoredFuelling);
-        let changes: [(&str, Change); 6] = [
+        fn ends(share: [f64; 2], half_rpm: f64) -> Option<FilmEnds> {
+            Some(FilmEnds { speed_rpm: [2000.0, half_rpm], pressure_kpa: [50.0, 20.0], share, tau: [0.0; 2] })
+        }
+        let changes: [(&str, Change); 9] = [
+            ("film_ends", |s| s.fuelling.film_ends = ends([40.0, 0.0], 900.0)),
+            ("film_ends", |s| s.fuelling.film_ends = ends([f64::NAN, 0.0], 900.0)),
+            ("film_ends.speed_rpm", |s| s.fuelling.film_ends = ends([0.1, 0.0], 0.0)),
             ("charge.coefficients", |s| s.fuelling.charge.coefficients.clear()),
             ("filling.area", |s| s.fuelling.filling.area.truncate(1)),
             ("film.share", |s| s.fuelling.film.share = 1.0),

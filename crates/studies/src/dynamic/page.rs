@@ -94,6 +94,9 @@ fn found(case: &Case) -> String {
             100.0 * factor
         );
     }
+    if f.film_ends.is_some() {
+        text += "; film in the middle of speed and pressure, it changes over both";
+    }
     let trim = f.trim.map_or("no trim".into(), |t| format!("trim in {:.1} s", t.time_s));
     format!(
         "{text}; throttle lag {:.3} s, mixing {:.1} mg of fuel, sensor lag {:.3} s, air {:.0} ms after the command at 2000 rpm, {trim}; 1 / lambda within {:.4}, pressure within {:.2} kPa (root mean square).",

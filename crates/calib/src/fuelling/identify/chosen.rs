@@ -3,6 +3,7 @@
 use super::filled::refilled;
 use super::follow::pressure;
 use super::moved::empty_cams;
+use super::record::TransientRecord;
 use super::search::Effort;
 use super::worth::{block, pays};
 use super::{
@@ -16,7 +17,7 @@ use crate::fuelling::film::Film;
 use crate::fuelling::{FilmEnds, Fuelling};
 
 /// Of a model the one with what cams do to the charge, where they are measured and that is worth its parameters, and without a film
-/// that is not worth its two: on the halves of the blocks of the records that did not fit it the richer model must leave less
+/// that is not worth its two, or without its slopes over speed and pressure: on the halves of the blocks of the records that did not fit it the richer model must leave less
 /// than the simpler one does that was fitted to the same halves ([`pays`]). The inverse of a film must be stable besides and not
 /// swing at any temperature of the records.
 pub(super) fn chosen(
@@ -65,7 +66,13 @@ fn with_ends(
     mut plain: Judged,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let Charge { speed_rpm, pressure_kpa, .. } = plain.fuelling.charge;
+    // Of the records: steady points beside them say nothing of a film.
+    let range = |of: fn(&TransientRecord<'_>) -> Vec<f64>| {
+        let all = measured.records.iter().flat_map(of);
+        let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        [0.5 * (low + high), (0.5 * (high - low)).max(1e-6 * high.abs())]
+    };
+    let (speed_rpm, pressure_kpa) = (range(|r| r.speed_rpm.to_vec()), range(|r| r.map_kpa.to_vec()));
     let ends = FilmEnds { speed_rpm, pressure_kpa, share: [0.0; 2], tau: [0.0; 2] };
     let start = Fuelling { film_ends: Some(ends), ..plain.fuelling.clone() };
     let mut rich = Judged::of(mixed(measured, &start, &start, Effort::Compared, interrupt)?);
@@ -124,7 +131,7 @@ fn judged_apart(
 }
 
 /// Whether the inverse of the film is unstable or swings at a temperature, a speed and a pressure of the records.
-fn swings(found: &Fuelling) -> bool {
+pub(super) fn swings(found: &Fuelling) -> bool {
     let ends = found.coolant.map_or(vec![0.0], |law| law.range_c.to_vec());
     // Without them the film is the same everywhere.
     let corners = found.film_ends.map_or(vec![[0.0; 2]], |e| e.corners().to_vec());

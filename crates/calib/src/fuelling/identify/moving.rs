@@ -5,6 +5,8 @@ use super::loss::Loss;
 use super::record::TransientRecord;
 use crate::fuelling::Fuelling;
 
+/// Errors below this tell nothing of a sensor: rests that are shown as if without any error must not make all that moves worth nothing.
+const LEAST: f64 = 1e-4;
 /// Variances over that of what stands still are searched up to this, for a movement of the usual size.
 const MOST: f64 = 1e4;
 /// Intervals of the search, and how often each is cut.
@@ -14,7 +16,7 @@ const CUTS: usize = 30;
 /// Weights of all samples of records,
 ///
 /// ```text
-/// w = 1 / sqrt(1 + r (d phi/dt)^2),   e ~ N(0, s^2 (1 + r (d phi/dt)^2)),   phi: 1 / lambda as the model shows it
+/// w = 1 / sqrt(1 + r (d phi/dt)^2),   e ~ N(0, s^2 (1 + r (d phi/dt)^2)),   phi: 1 / lambda as the model shows it, e: its error as it counts
 /// ```
 ///
 /// with r of the greatest likelihood (a variance function, M. Davidian, R. J. Carroll, J. Am. Stat. Assoc. 82, 1987, 1079-1091): no model of
@@ -31,13 +33,13 @@ pub(super) fn weights(records: &[TransientRecord<'_>], f: &Fuelling, loss: Loss)
             let moved = (0.5 * over / r.sample_time_s).powi(2);
             let error = loss.of(1.0 / lambda - phi).powi(2);
             if t >= r.counts_from() && error.is_finite() && moved.is_finite() {
-                squares.push([error, moved]);
+                squares.push([error + LEAST * LEAST, moved]);
             }
             moves.push(moved);
         }
     }
     let ratio = likely(&squares);
-    moves.iter().map(|m| if m.is_finite() { 1.0 / (1.0 + ratio * m).sqrt() } else { 1.0 }).collect()
+    moves.iter().map(|m| if m.is_finite() { 1.0 / (1.0 + ratio * m).sqrt() } else { 0.0 }).collect()
 }
 
 /// r for squares of errors and of movements.
@@ -60,7 +62,7 @@ fn likely(squares: &[[f64; 2]]) -> f64 {
     let at = |k: f64| (MOST * 10.0_f64.powf(-8.0 * (1.0 - k / GRID as f64))) / usual;
     let best = (0..=GRID).map(|k| k as f64).min_by(|a, b| cost(at(*a)).total_cmp(&cost(at(*b))));
     let Some(best) = best.filter(|k| cost(at(*k)) < cost(0.0)) else { return 0.0 };
-    let (mut low, mut high) = (best - 1.0, best + 1.0);
+    let (mut low, mut high) = ((best - 1.0).max(0.0), (best + 1.0).min(GRID as f64));
     for _ in 0..CUTS {
         let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
         if cost(at(a)) < cost(at(b)) { high = b } else { low = a }

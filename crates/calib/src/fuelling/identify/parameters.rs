@@ -3,7 +3,7 @@
 use crate::fuelling::film::Film;
 use crate::fuelling::{Fuelling, Timing};
 
-/// Parameters of film, timing and the law of the coolant, before those of the charge.
+/// Parameters of film, timing, the law of the coolant and the ends of the film, before those of the charge.
 pub(super) const FILM: usize = 2;
 pub(super) const TIMING: usize = 6;
 const LAW: usize = 5;

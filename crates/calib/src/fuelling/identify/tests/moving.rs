@@ -69,3 +69,24 @@ fn ends_of_a_film_are_found() {
     assert!(found.film_ends.is_some());
     assert_eq!(of(&plain).film_ends, None);
 }
+
+/// A policy injects for the film at its own speed: what is demanded suddenly is injected over one less its share there.
+#[test]
+fn a_policy_has_the_film_of_its_speed() {
+    let plain = truth();
+    let Charge { speed_rpm, pressure_kpa, .. } = plain.charge;
+    let ends = FilmEnds { speed_rpm, pressure_kpa, share: [-0.3, 0.0], tau: [0.0; 2] };
+    let made = Fuelling { film_ends: Some(ends), ..plain };
+    for speed in [1200.0, 2800.0] {
+        let mut policy = FuelPolicy::new(made.clone(), 60.0);
+        let y = sensed(speed, 12.0, 40.0, None);
+        let rest = (0..3000).map(|_| policy.step(&y, 1.0)).last().unwrap();
+        let jump = policy.step(&y, 0.9) - rest;
+        let share = made.film_of(90.0, speed, 40.0).share;
+        assert!(
+            (jump / (rest / 0.9 - rest) * (1.0 - share) - 1.0).abs() < 1e-3,
+            "{speed} rpm: {jump} {share}"
+        );
+        assert!((share / made.film.share - 1.0).abs() > 0.1, "{share}");
+    }
+}
