@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 /// ln(X / (1 - X)) = that in the middle + a n + b m,   ln tau = that in the middle + c n + d m
 /// ```
 ///
-/// not continued beyond the records. Slow cycles leave the fuel more time to wet and to dry, and push more of it back; thin gas takes
-/// it up faster (C. F. Aquino, SAE 810494, has share and time constant over speed, load and coolant).
+/// not continued beyond the records. It takes up what goes with the time of a cycle and with the gas: fuel that evaporates between injection
+/// and induction, mixture that valves push back.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilmEnds {

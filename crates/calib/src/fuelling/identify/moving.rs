@@ -21,7 +21,7 @@ const CUTS: usize = 30;
 ///
 /// with r of the greatest likelihood (a variance function, M. Davidian, R. J. Carroll, J. Am. Stat. Assoc. 82, 1987, 1079-1091): no model of
 /// mean values has every moment of transport and mixing, and where fuel is far from its air such errors are many times those of the charge.
-/// They moved the moment of the air by 4 ms, which was 1 % of lambda after steps of a fuel that followed it.
+/// On `pfi_1_6l` they moved the moment of the air by some milliseconds, and 4 ms are 1 % of lambda after steps of a fuel that follows it.
 pub(super) fn weights(records: &[TransientRecord<'_>], f: &Fuelling, loss: Loss) -> Vec<f64> {
     let mut squares: Vec<[f64; 2]> = Vec::new();
     let mut moves: Vec<f64> = Vec::new();
